@@ -1,0 +1,176 @@
+"""What every command shares: flags over a YAML file over defaults, one line on bad input, progress, JAX's settings.
+
+A command is a frozen dataclass with documented fields and a function of it: `run(main, Config)`. Exit codes: 0, 2 for
+bad input (one line on stderr; `EBJAX_DEBUG=1` shows the traceback), 130 for ctrl-C.
+"""
+
+import contextlib
+import dataclasses
+import io
+import itertools
+import os
+import sys
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import tyro
+
+from ebjax.config import dump_config, load_config
+
+__all__ = ["dump_config", "parse", "progress", "run", "setup_jax"]
+
+Config = TypeVar("Config")
+Item = TypeVar("Item")
+
+
+def run(
+    main: Callable[[Any], None],
+    config_class: type[Any],
+    argv: Sequence[str] | None = None,
+    *,
+    needs_jax: bool = True,
+) -> None:
+    """Parses the command line and calls `main(config)`.
+
+    Args:
+      main: the command. Its ValueError or OSError becomes the one line `error: ...` on stderr and exit code 2.
+      config_class: frozen dataclass, nested ones allowed; field docstrings are the help, `tyro.conf.Positional` fields
+        the arguments. `--config FILE.yaml` is added.
+      argv: the arguments; None means the process's own.
+      needs_jax: False spares a command without JAX the second that importing it takes.
+
+    Raises:
+      SystemExit: 2 on bad input, 130 on ctrl-C, 0 after `--help`.
+    """
+    try:
+        config = parse(config_class, sys.argv[1:] if argv is None else argv, prog=_program(main))
+        if needs_jax:
+            setup_jax()
+        main(config)
+    except BrokenPipeError:
+        # The reader of our output went away (`| head`); nothing is left to tell it.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(0)
+    except (ValueError, OSError) as error:
+        if os.environ.get("EBJAX_DEBUG") == "1":
+            raise
+        print(f"error: {_one_line(error)}", file=sys.stderr)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        sys.exit(130)
+
+
+def parse(config_class: type[Config], argv: Sequence[str], *, prog: str | None = None) -> Config:
+    """Resolves defaults < the YAML file of `--config` < flags.
+
+    Raises:
+      ValueError: an unknown flag, a missing argument, a wrong value; in the YAML file, named with its key.
+      SystemExit: 0, after printing `--help`.
+    """
+    config_file = Annotated[str | None, tyro.conf.arg(help="YAML file of differences from the defaults; flags win.")]
+    with_file = dataclasses.make_dataclass(
+        config_class.__name__,
+        [("config", config_file, dataclasses.field(default=None))],
+        bases=(config_class,),
+        frozen=True,
+        kw_only=True,
+    )
+    with_file.__doc__ = config_class.__doc__
+    path = _config_path(argv)
+    default: dict[str, Any] = {}
+    if path is not None:
+        loaded = load_config(path, config_class)
+        default = {"default": with_file(**_fields(loaded), config=path)}
+    messages = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(messages):
+            parsed = tyro.cli(
+                with_file, args=list(argv), prog=prog, config=(tyro.conf.PositionalMetavarFromFieldName,), **default
+            )
+    except SystemExit as stop:
+        if stop.code in (0, None):
+            raise
+        raise ValueError(f"{_flatten(messages.getvalue())} (--help lists the options)") from None
+    values = _fields(parsed)
+    values.pop("config")
+    return config_class(**values)
+
+
+def setup_jax() -> None:
+    """Switches on float64 and keeps compiled programs in the user's cache folder, so that the second run starts fast.
+
+    The folder is $JAX_COMPILATION_CACHE_DIR, or ebjax in $XDG_CACHE_HOME or ~/.cache; one that cannot be written is
+    left out silently.
+    """
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    if getattr(jax.config, "jax_compilation_cache_dir", None) is not None:  # the user's own choice
+        return
+    try:
+        folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ebjax"
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except (OSError, RuntimeError):
+        return
+    jax.config.update("jax_compilation_cache_dir", str(folder))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+
+
+def progress(iterable: Iterable[Item], total: int | None = None, label: str = "") -> Iterator[Item]:
+    """Iterates with a progress bar on stderr; silent when that is not a terminal.
+
+    Args:
+      iterable: what to go through.
+      total: how many items; None asks the iterable for its length.
+      label: what is being done.
+    """
+    if not sys.stderr.isatty():
+        yield from iterable
+        return
+    from rich.console import Console
+    from rich.progress import track
+
+    yield from track(iterable, description=label, total=total, console=Console(stderr=True), transient=True)
+
+
+def _fields(config: Any) -> dict[str, Any]:
+    return {field.name: getattr(config, field.name) for field in dataclasses.fields(config)}
+
+
+def _config_path(argv: Sequence[str]) -> str | None:
+    path = None
+    for argument, following in itertools.zip_longest(argv, argv[1:]):
+        if argument == "--config":
+            path = following
+        elif argument.startswith("--config="):
+            path = argument.removeprefix("--config=")
+    return path
+
+
+def _program(main: Callable[[Any], None]) -> str:
+    module = main.__module__
+    spec = getattr(sys.modules.get("__main__"), "__spec__", None)
+    name = spec.name if module == "__main__" and spec is not None else module
+    return f"python -m {name.removesuffix('.__main__')}"
+
+
+def _one_line(error: BaseException) -> str:
+    if isinstance(error, OSError) and error.filename is not None and error.strerror:
+        return f"{error.filename}: {error.strerror[0].lower()}{error.strerror[1:]}"
+    return " ".join(str(error).split()) or type(error).__name__
+
+
+def _flatten(box: str) -> str:
+    """Turns tyro's framed message into one sentence: what stands above its rule, without the deeper-set help."""
+    body: list[str] = []
+    for line in (line.strip("│").rstrip() for line in box.splitlines()):
+        if line.strip().startswith(("─", "╰")):
+            break
+        if line.strip() and not line.startswith(("╭", "       ")):
+            body.append(line.strip())
+    return " ".join(body)

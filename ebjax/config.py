@@ -1,0 +1,137 @@
+"""Configs: frozen dataclasses hold schema and defaults, YAML files hold differences; errors name file and key."""
+
+import dataclasses
+import difflib
+import math
+import types
+import typing
+from pathlib import Path
+from typing import Any, TypeVar
+
+import tyro
+import yaml
+
+from ebjax.io.atomic import whole_file
+from ebjax.io.text import read_text
+
+Config = TypeVar("Config")
+
+
+def load_config(path: str | Path, config_class: type[Config]) -> Config:
+    """Builds the config that a YAML file's differences describe; required fields it does not name are `tyro.MISSING`.
+
+    Args:
+      path: a YAML mapping from field names to values, nested as the dataclass is.
+      config_class: the schema and the defaults.
+
+    Raises:
+      FileNotFoundError: there is no such file.
+      ValueError: not YAML, an unknown key or a value of the wrong type; names file and key.
+    """
+    try:
+        values = yaml.safe_load(read_text(path))
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        line = f" line {mark.line + 1}" if mark else ""
+        raise ValueError(f"{path}{line}: not YAML ({getattr(error, 'problem', None) or 'unreadable'})") from None
+    return _build(path, "", config_class, {} if values is None else values)
+
+
+def dump_config(config: Any, path: str | Path) -> None:
+    """Writes every field of a config as YAML, whole; `--config` reads it back."""
+    with whole_file(path) as file:
+        yaml.safe_dump(_plain(config), file, sort_keys=False, default_flow_style=None, allow_unicode=True, width=120)
+
+
+def _plain(value: Any) -> Any:
+    if dataclasses.is_dataclass(value):
+        return {field.name: _plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
+    if isinstance(value, tuple | list):
+        return [_plain(item) for item in value]
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    return str(value) if isinstance(value, Path) else value
+
+
+def _build(path: str | Path, prefix: str, kind: Any, values: Any) -> Any:
+    if not isinstance(values, dict):
+        raise ValueError(f"{path}: {prefix.rstrip('.') or 'the file'} is not a mapping of keys to values")
+    fields = {field.name: field for field in dataclasses.fields(kind)}
+    for key in values:
+        if key not in fields:
+            close = difflib.get_close_matches(str(key), fields, n=1)
+            hint = f"did you mean {prefix}{close[0]!s}?" if close else f"known keys: {', '.join(fields)}"
+            raise ValueError(f"{path}: unknown key {prefix}{key}; {hint}")
+    hints = typing.get_type_hints(kind)
+    arguments = {}
+    for name, field in fields.items():
+        if name in values:
+            arguments[name] = _value(path, prefix + name, hints[name], values[name])
+        elif field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
+            arguments[name] = tyro.MISSING
+    return kind(**arguments)
+
+
+def _value(path: str | Path, key: str, kind: Any, value: Any) -> Any:
+    """Converts a YAML value to a field's type; integers pass for floats, nothing else changes its type."""
+    wrong = ValueError(f"{path}: key {key} is {value!r}, not {_describe(kind)}; correct the value")
+    origin, arguments = typing.get_origin(kind), typing.get_args(kind)
+    if dataclasses.is_dataclass(kind):
+        return _build(path, key + ".", kind, value)
+    if origin in (typing.Union, types.UnionType):
+        for option in arguments:
+            try:
+                return _value(path, key, option, value)
+            except ValueError as error:
+                # Inside a nested mapping the exact key says more than "not any of these".
+                if dataclasses.is_dataclass(option) and isinstance(value, dict):
+                    raise error
+        raise wrong
+    if origin is typing.Literal:
+        if any(value == option and type(value) is type(option) for option in arguments):
+            return value
+        raise wrong
+    if origin in (tuple, list):
+        if not isinstance(value, list):
+            raise wrong
+        if origin is list or arguments[-1] is Ellipsis:
+            return origin(_value(path, f"{key}[{i}]", arguments[0], item) for i, item in enumerate(value))
+        if len(value) != len(arguments):
+            raise wrong
+        pairs = zip(arguments, value, strict=True)
+        return tuple(_value(path, f"{key}[{i}]", option, item) for i, (option, item) in enumerate(pairs))
+    if kind is float:
+        return _float(value, wrong)
+    if kind is Path and isinstance(value, str):
+        return Path(value)
+    if kind is Any or (isinstance(value, kind) and not (kind is int and isinstance(value, bool))):
+        return value
+    raise wrong
+
+
+def _float(value: Any, wrong: ValueError) -> float:
+    # YAML 1.1 reads 1e-3 as a string.
+    if isinstance(value, str):
+        try:
+            value = float(value)
+        except ValueError:
+            raise wrong from None
+    if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):
+        raise wrong
+    return float(value)
+
+
+def _describe(kind: Any) -> str:
+    if kind is type(None):
+        return "null"
+    origin, arguments = typing.get_origin(kind), typing.get_args(kind)
+    if origin is typing.Literal:
+        return "one of " + ", ".join(map(str, arguments))
+    if origin in (typing.Union, types.UnionType):
+        return " or ".join(map(_describe, arguments))
+    if origin in (tuple, list):
+        if origin is list or arguments[-1] is Ellipsis:
+            return f"a list of {_describe(arguments[0])}"
+        return f"a list of {len(arguments)} ({', '.join(map(_describe, arguments))})"
+    names = {float: "a number", int: "a whole number", str: "text", bool: "true or false", Path: "a path"}
+    return names.get(kind, getattr(kind, "__name__", str(kind)))

@@ -1,0 +1,185 @@
+"""A pinhole camera over a floor, and the metric rectangle of floor that it looks at.
+
+Base: x forward, y left, z up, the floor is z = 0. Camera: x right, y down, z forward. Metres and radians.
+"""
+
+import dataclasses
+import typing
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from ebjax.geometry.homography import Arrays, Scalar, denominator, safe_denominator
+from ebjax.geometry.homography import apply as apply_homography
+
+
+# Unchecked at run time: vmap and tree_map rebuild the node with batched or placeholder leaves.
+@typing.no_type_check
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Camera:
+    """Intrinsics K (px), p_base = base_from_camera p_camera (m), and the image size (px)."""
+
+    intrinsics: Float[Arrays, "3 3"]
+    base_from_camera: Float[Arrays, "4 4"]
+    width: int = dataclasses.field(metadata=dict(static=True))
+    height: int = dataclasses.field(metadata=dict(static=True))
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class FloorView:
+    """A rectangle of the floor in base, metres, seen from above: forward is up, left is left.
+
+    View pixel (u, v) has its centre at x = x_max - (v + 0.5) metres_per_px, y = y_max - (u + 0.5) metres_per_px.
+    """
+
+    x_min: float | int = dataclasses.field(metadata=dict(static=True))
+    x_max: float | int = dataclasses.field(metadata=dict(static=True))
+    y_min: float | int = dataclasses.field(metadata=dict(static=True))
+    y_max: float | int = dataclasses.field(metadata=dict(static=True))
+    metres_per_px: float | int = dataclasses.field(metadata=dict(static=True))
+
+    def __post_init__(self):
+        if not (self.x_min < self.x_max and self.y_min < self.y_max and self.metres_per_px > 0):
+            raise ValueError(f"{self}: needs x_min < x_max, y_min < y_max and metres_per_px > 0")
+
+    @property
+    def width(self) -> int:
+        """Columns, px."""
+        return max(1, round((self.y_max - self.y_min) / self.metres_per_px))
+
+    @property
+    def height(self) -> int:
+        """Rows, px."""
+        return max(1, round((self.x_max - self.x_min) / self.metres_per_px))
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(height, width), px."""
+        return self.height, self.width
+
+    @property
+    def floor_from_view(self) -> Float[np.ndarray, "3 3"]:
+        """View pixel (u, v, 1) -> floor point (x, y, 1) in base, m."""
+        m = self.metres_per_px
+        return np.array([[0.0, -m, self.x_max - 0.5 * m], [-m, 0.0, self.y_max - 0.5 * m], [0.0, 0.0, 1.0]])
+
+
+@partial(jax.jit, static_argnames=("width", "height"))
+def camera_over_floor(
+    fx: Scalar,
+    fy: Scalar,
+    cx: Scalar,
+    cy: Scalar,
+    width: int,
+    height: int,
+    height_m: Scalar,
+    pitch_rad: Scalar,
+    roll_rad: Scalar = 0.0,
+    x_m: Scalar = 0.0,
+) -> Camera:
+    """A camera that looks forward and down at the floor; differentiable in height, pitch and roll.
+
+    Args:
+      fx: focal length along x, px.
+      fy: focal length along y, px.
+      cx: principal point, px.
+      cy: principal point, px.
+      width: image width, px.
+      height: image height, px.
+      height_m: of the optical centre above the floor.
+      pitch_rad: downward tilt of the optical axis; 0 looks at the horizon.
+      roll_rad: turn about the optical axis, clockwise seen from behind the camera.
+      x_m: of the optical centre ahead of the base's origin.
+    """
+    scalars = (height_m, pitch_rad, roll_rad, x_m, fx, fy, cx, cy)
+    dtype = jnp.result_type(*scalars, 0.0)
+    height_m, pitch, roll, x_m, fx, fy, cx, cy = (jnp.asarray(v, dtype) for v in scalars)
+    s, c, sr, cr = jnp.sin(pitch), jnp.cos(pitch), jnp.sin(roll), jnp.cos(roll)
+    zero, one = jnp.zeros((), dtype), jnp.ones((), dtype)
+    base_from_camera = jnp.stack(
+        [
+            jnp.stack([-s * sr, -s * cr, c, x_m]),
+            jnp.stack([-cr, sr, zero, zero]),
+            jnp.stack([-c * sr, -c * cr, -s, height_m]),
+            jnp.stack([zero, zero, zero, one]),
+        ]
+    )
+    intrinsics = jnp.stack([jnp.stack([fx, zero, cx]), jnp.stack([zero, fy, cy]), jnp.stack([zero, zero, one])])
+    return Camera(intrinsics, base_from_camera, width, height)
+
+
+@jax.jit
+def project(camera: Camera, points_base: Float[Arrays, "N 3"]) -> tuple[Float[Array, "N 2"], Float[Array, " N"]]:
+    """Pixels K R^T (p - t) / depth, and the depth along the optical axis, m: <= 0 is behind the camera."""
+    k, pose = jnp.asarray(camera.intrinsics), jnp.asarray(camera.base_from_camera)
+    points_camera = (jnp.asarray(points_base) - pose[None, :3, 3]) @ pose[:3, :3]
+    depth = points_camera[:, 2]
+    w = safe_denominator(depth, jnp.sum(jnp.abs(points_camera), axis=1))
+    pixels = (points_camera @ k.T)[:, :2] / w[:, None]
+    return pixels, depth
+
+
+@jax.jit
+def backproject(
+    pixels: Float[Arrays, "N 2"], depth_m: Float[Arrays, " N"], intrinsics: Float[Arrays, "3 3"]
+) -> Float[Array, "N 3"]:
+    """Lifts pixels into the camera frame, X = depth K^-1 x (Early Bird, eq. 9-10).
+
+    Args:
+      pixels: (x, y) in the raw image, not the floor view, px.
+      depth_m: along the optical axis; <= 0 or not finite means missing.
+      intrinsics: K, px.
+
+    Returns:
+      Points in the camera frame, m; rows without depth are zero.
+    """
+    p, k, depth = jnp.asarray(pixels), jnp.asarray(intrinsics), jnp.asarray(depth_m)
+    depth = jnp.where(jnp.isfinite(depth) & (depth > 0), depth, jnp.zeros_like(depth))
+    y = (p[:, 1] - k[1, 2]) / k[1, 1]
+    x = (p[:, 0] - k[0, 2] - k[0, 1] * y) / k[0, 0]
+    return jnp.stack([x * depth, y * depth, depth], axis=-1)
+
+
+@jax.jit
+def image_from_floor(camera: Camera) -> Float[Array, "3 3"]:
+    """K [r1 r2 t] of camera_from_base: floor (x, y, 1) at z = 0 of base, m -> pixels, with w = depth in metres."""
+    k, pose = jnp.asarray(camera.intrinsics), jnp.asarray(camera.base_from_camera)
+    rotation = pose[:3, :3].T
+    translation = -rotation @ pose[:3, 3]
+    return k @ jnp.stack([rotation[:, 0], rotation[:, 1], translation], axis=1)
+
+
+@jax.jit
+def image_from_view(camera: Camera, view: FloorView) -> Float[Array, "3 3"]:
+    """View pixels -> image pixels, with w = depth in metres; what `warp` needs to make the floor view."""
+    image = image_from_floor(camera)
+    return image @ jnp.asarray(view.floor_from_view, image.dtype)
+
+
+@partial(jax.jit, static_argnames=("view_size", "image_size"))
+def field_of_view(
+    image_from_view: Float[Arrays, "3 3"],
+    view_size: tuple[int, int],
+    image_size: tuple[int, int],
+    margin_px: Scalar = 0.0,
+) -> Bool[Array, "h w"]:
+    """View pixels that the image sees: in front of the camera (w > 0) and inside the image by a margin.
+
+    Args:
+      image_from_view: w > 0 in front of the camera (`homography.orient` makes it so).
+      view_size: (height, width), px.
+      image_size: (height, width), px.
+      margin_px: distance from the outermost pixel centres.
+    """
+    h = jnp.asarray(image_from_view)
+    rows, cols = jnp.meshgrid(*(jnp.arange(n, dtype=h.dtype) for n in view_size), indexing="ij")
+    grid = jnp.stack([cols.reshape(-1), rows.reshape(-1)], axis=1)
+    x, y = apply_homography(h, grid).T
+    inside = (x >= margin_px) & (x <= image_size[1] - 1 - margin_px)
+    inside &= (y >= margin_px) & (y <= image_size[0] - 1 - margin_px)
+    return (inside & (denominator(h, grid) > 0)).reshape(view_size)

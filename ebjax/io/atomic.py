@@ -1,0 +1,71 @@
+"""Outputs are written whole or not at all: into a temporary neighbour first, then renamed into place.
+
+Parent folders are made. Whatever stops the writing (an error, ctrl-C) removes the temporary and leaves the old output
+alone.
+"""
+
+import contextlib
+import os
+import shutil
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO, Any
+
+
+@contextlib.contextmanager
+def whole_file(path: str | Path, mode: str = "w") -> Iterator[IO[Any]]:
+    """Opens a temporary neighbour of `path` for writing and renames it to `path` when the block ends well.
+
+    Args:
+      path: the file; an existing one is replaced.
+      mode: "w" (UTF-8 text, lines end in a newline everywhere) or "wb".
+
+    Raises:
+      OSError: the folder cannot be written, or `path` is a folder.
+    """
+    path = Path(path)
+    if path.is_dir():
+        raise IsADirectoryError(21, "is a folder; name a file", str(path))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.parent / f".{path.name}.{uuid.uuid4().hex[:8]}.partial"
+    text: dict[str, str] = {} if "b" in mode else {"encoding": "utf-8", "newline": "\n"}
+    try:
+        with open(temporary, mode.replace("w", "x"), **text) as file:  # type: ignore[call-overload]
+            yield file
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def whole_folder(path: str | Path) -> Iterator[Path]:
+    """Yields a temporary folder whose contents become those of `path` when the block ends well.
+
+    A new folder appears by one rename. Into a folder that exists every file is moved whole, over its namesake;
+    other files in it are left alone, so `--out .` never costs anyone a file.
+
+    Args:
+      path: the folder.
+
+    Raises:
+      OSError: the folder cannot be written, or `path` is a file.
+    """
+    path = Path(path).absolute()
+    if path.exists() and not path.is_dir():
+        raise NotADirectoryError(20, "is a file; name a folder", str(path))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    # Inside an existing folder, because its parent may be another file system or not ours to write to.
+    temporary = (path if path.is_dir() else path.parent) / f".{path.name}.{uuid.uuid4().hex[:8]}.partial"
+    temporary.mkdir()
+    try:
+        yield temporary
+        if not path.exists():
+            temporary.rename(path)
+            return
+        for source in sorted(p for p in temporary.rglob("*") if not p.is_dir()):
+            target = path / source.relative_to(temporary)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            os.replace(source, target)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)

@@ -1,0 +1,100 @@
+"""camera.json: intrinsics, image size, depth units and where the camera sits on the robot."""
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ebjax.io.poses import rigid_fault
+from ebjax.io.text import read_text
+
+KEYS = ("fx", "fy", "cx", "cy", "width", "height", "depth_scale", "T_base_camera")
+
+
+@dataclass(frozen=True)
+class CameraFile:
+    """A calibrated camera on a robot.
+
+    Attributes:
+      intrinsics: K, px.
+      base_from_camera: p_base = base_from_camera @ p_camera, metres; base x forward, y left, z up, floor z = 0;
+        camera x right, y down, z forward.
+      width: px.
+      height: px.
+      depth_scale: depth file units per metre.
+    """
+
+    intrinsics: Float[np.ndarray, "3 3"]
+    base_from_camera: Float[np.ndarray, "4 4"]
+    width: int
+    height: int
+    depth_scale: float
+
+
+def _number(path: Path, values: dict[str, Any], key: str, *, positive: bool) -> float:
+    value = values[key]
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError(f"{path}: {key!r} is {json.dumps(value)[:60]}, not a number; correct it")
+    if not math.isfinite(value) or (positive and value <= 0):
+        raise ValueError(f"{path}: {key!r} is {value}, not a finite {'positive ' * positive}number; correct it")
+    return float(value)
+
+
+def _whole(path: Path, values: dict[str, Any], key: str) -> int:
+    value = _number(path, values, key, positive=True)
+    if value != int(value):
+        raise ValueError(f"{path}: {key!r} is {value}, not a whole number of pixels; correct it")
+    return int(value)
+
+
+def _pose(path: Path, values: dict[str, Any], key: str) -> np.ndarray:
+    rows = values[key]
+    numeric = isinstance(rows, list) and all(
+        isinstance(row, list)
+        and len(row) == 4
+        and all(isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v) for v in row)
+        for row in rows
+    )
+    if not numeric or len(rows) != 4:
+        raise ValueError(f"{path}: {key!r} is not 4 rows of 4 finite numbers; give p_base = T p_camera, metres")
+    pose = np.array(rows, dtype=np.float64)
+    if fault := rigid_fault(pose):
+        raise ValueError(f"{path}: {key!r} is not a rigid transform: {fault}; give p_base = T p_camera, metres")
+    return pose
+
+
+def read_camera(path: str | Path, *, depth: bool = True) -> CameraFile:
+    """Reads camera.json: fx fy cx cy width height (px), depth_scale (units per metre), T_base_camera (4x4, metres).
+
+    Args:
+      path: the file.
+      depth: whether depth is going to be read; without it `depth_scale` may be left out.
+
+    Raises:
+      FileNotFoundError: there is no such file.
+      ValueError: not JSON, a missing key, a wrong type, NaN, a transform that is not rigid; names file and key.
+    """
+    path = Path(path)
+    try:
+        values = json.loads(read_text(path))
+    except json.JSONDecodeError as error:
+        raise ValueError(f"{path} line {error.lineno}: not JSON ({error.msg}); correct the file") from None
+    if not isinstance(values, dict):
+        raise ValueError(f"{path}: not a JSON object; it needs the keys {', '.join(KEYS)}")
+    if not depth:
+        values = {"depth_scale": 1000.0, **values}
+    if missing := [key for key in KEYS if key not in values]:
+        raise ValueError(f"{path}: no key {', '.join(map(repr, missing))}; it needs {', '.join(KEYS)}")
+    fx, fy = (_number(path, values, key, positive=True) for key in ("fx", "fy"))
+    cx, cy = (_number(path, values, key, positive=False) for key in ("cx", "cy"))
+    return CameraFile(
+        intrinsics=np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]),
+        base_from_camera=_pose(path, values, "T_base_camera"),
+        width=_whole(path, values, "width"),
+        height=_whole(path, values, "height"),
+        depth_scale=_number(path, values, "depth_scale", positive=True),
+    )

@@ -1,0 +1,87 @@
+"""Writes a run as the TUM-layout folder that `read_sequence` reads, whole or not at all."""
+
+import json
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8, UInt16
+
+from ebjax.io.atomic import whole_folder
+from ebjax.io.camera_file import CameraFile
+from ebjax.io.trajectory import write_tum
+
+Frame = tuple[UInt8[np.ndarray, "H W 3"], UInt16[np.ndarray, "H W"]]
+
+
+def write_sequence(
+    out: str | Path,
+    timestamps: Float[np.ndarray, " N"],
+    odom_from_base: Float[np.ndarray, "N 4 4"],
+    world_from_base: Float[np.ndarray, "N 4 4"],
+    camera: CameraFile,
+    frame: Callable[[int], Frame],
+    *,
+    quality: int = 95,
+    threads: int = 2,
+    progress: Callable[[Iterable[None], int], Iterable[None]] = lambda items, total: items,
+) -> None:
+    """Asks for the frames in parallel and writes them as they come.
+
+    Args:
+      out: the folder.
+      timestamps: of the frames, s; they name the files.
+      odom_from_base: odometry at the frames, m.
+      world_from_base: ground truth at the frames, m.
+      camera: what camera.json is to say.
+      frame: index -> (RGB, depth in file units); called from several threads.
+      quality: of the JPEGs, 1 to 100.
+      threads: frames made at a time.
+      progress: wraps the frames as they are finished (iterable, total).
+    """
+    names = [f"{t:.6f}" for t in timestamps]
+    with whole_folder(out) as folder:
+        (folder / "rgb").mkdir()
+        (folder / "depth").mkdir()
+
+        def write(i: int) -> None:
+            rgb, depth = frame(i)
+            bgr = cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR)
+            _encode(folder / "rgb" / f"{names[i]}.jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])
+            _encode(folder / "depth" / f"{names[i]}.png", depth, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+
+        with ThreadPoolExecutor(threads) as pool:
+            try:
+                for _ in progress(pool.map(write, range(len(names))), len(names)):
+                    pass
+            except BaseException:
+                pool.shutdown(cancel_futures=True)
+                raise
+        for kind, suffix in (("rgb", "jpg"), ("depth", "png")):
+            (folder / f"{kind}.txt").write_text("".join(f"{n} {kind}/{n}.{suffix}\n" for n in names))
+        write_tum(folder / "odometry.txt", timestamps, odom_from_base)
+        write_tum(folder / "groundtruth.txt", timestamps, world_from_base)
+        (folder / "camera.json").write_text(_camera_json(camera))
+
+
+def _encode(path: Path, image: np.ndarray, options: list[int]) -> None:
+    done, content = cv2.imencode(path.suffix, image, options)
+    assert done, path
+    path.write_bytes(content.tobytes())
+
+
+def _camera_json(camera: CameraFile) -> str:
+    k = camera.intrinsics
+    values = {
+        "width": camera.width,
+        "height": camera.height,
+        "fx": float(k[0, 0]),
+        "fy": float(k[1, 1]),
+        "cx": float(k[0, 2]),
+        "cy": float(k[1, 2]),
+        "depth_scale": camera.depth_scale,
+        "T_base_camera": camera.base_from_camera.tolist(),
+    }
+    return json.dumps(values, indent=1) + "\n"

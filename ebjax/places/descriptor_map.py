@@ -1,0 +1,92 @@
+"""A floor view as a small map of descriptors: rootSIFT at two scales on a grid, projected to the run's own components.
+
+The components are learned from a run's own views, unsupervised: the mean of every grid cell (what all places share: tile
+edges, shading, the robot's shadow) is taken away, and a basis of principal directions is kept without whitening. Every basis
+vector is even or odd under R_pi, so the map of the view turned by pi is the reversed map times a sign per channel.
+"""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from ebjax.models.rootsift import DIMENSION, describe, pool_orientations, rotate_pi_descriptor
+
+STRIDE_PX = 8
+BIN_PX = (6.0, 12.0)
+MIN_SUPPORT = 0.5
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class MapSpace:
+    """The run's components: mean of each cell and scale, basis, parity of each channel under R_pi, cells that count."""
+
+    mean: Float[Array, "h w D0"]
+    basis: Float[Array, "D0 D"]
+    parity: Float[Array, "D"]
+    mask: Float[Array, "h w"]
+
+
+def grid(size: tuple[int, int]) -> Float[np.ndarray, "h w 2"]:
+    """Cell centres (x, y) px, STRIDE_PX apart and symmetric about the view's centre, for a view of (height, width)."""
+    axes = []
+    for length in (size[1], size[0]):
+        cells = max(1, length // STRIDE_PX)
+        axes.append((length - 1) / 2 + (np.arange(cells) - (cells - 1) / 2) * STRIDE_PX)
+    return np.stack(np.meshgrid(*axes, indexing="xy"), -1).astype(np.float32)
+
+
+def dense(
+    grey: Float[Array, "H W"], seen: Float[Array, "H W"]
+) -> tuple[Float[Array, "h w D0"], Float[Array, "h w"]]:
+    """Upright rootSIFT at both scales in every cell, and the least share of its support inside the field of view."""
+    points = grid((grey.shape[0], grey.shape[1]))
+    shape, flat = points.shape[:2], jnp.asarray(points.reshape(-1, 2), grey.dtype)
+    described = [describe(pool_orientations(grey, seen, bin_px), flat) for bin_px in BIN_PX]
+    support = jnp.min(jnp.stack([share for _, share in described]), axis=0)
+    return jnp.concatenate([d for d, _ in described], -1).reshape(*shape, -1), support.reshape(shape)
+
+
+def rotate_pi_dense(values: Float[Array, "*n h w D0"]) -> Float[Array, "*n h w D0"]:
+    """The dense map of the view turned by pi, exactly: cells reversed, every descriptor turned."""
+    scales = values.reshape(*values.shape[:-1], -1, DIMENSION)
+    return rotate_pi_descriptor(scales).reshape(values.shape)[..., ::-1, ::-1, :]
+
+
+def learn_space(views: Float[Array, "N h w D0"], mask: Bool[Array, "h w"], channels: int) -> MapSpace:
+    """Learns the components from a sample of a run's dense maps.
+
+    The covariance is made symmetric under R_pi and diagonalised in its even and its odd half, which makes parity exact.
+    """
+    mean = jnp.mean(views, axis=0)
+    centred = (views - mean[None]) * mask[None, :, :, None]
+    rows = centred.reshape(-1, views.shape[-1])
+    turned = rotate_pi_dense(centred).reshape(rows.shape)
+    dimension = rows.shape[1]
+    covariance = (rows.T @ rows + turned.T @ turned) / (2 * len(views) * jnp.maximum(mask.sum(), 1))
+    identity = jnp.eye(dimension, dtype=rows.dtype)
+    turn = rotate_pi_dense(identity[:, None, None, :])[:, 0, 0]
+    values, vectors, signs = [], [], []
+    for sign in (1.0, -1.0):
+        half, basis = jnp.linalg.eigh((identity + sign * turn) / 2)
+        basis = basis[:, half > 0.5]
+        eigenvalues, inner = jnp.linalg.eigh(basis.T @ covariance @ basis)
+        values.append(eigenvalues)
+        vectors.append(basis @ inner)
+        signs.append(jnp.full(eigenvalues.shape, sign, rows.dtype))
+    order = jnp.argsort(-jnp.concatenate(values))[:channels]
+    basis = jnp.concatenate(vectors, 1)[:, order]
+    return MapSpace(mean, basis, jnp.concatenate(signs)[order], mask.astype(rows.dtype))
+
+
+def project(view: Float[Array, "h w D0"], space: MapSpace) -> Float[Array, "h w D"]:
+    """The centred, projected map; zero in cells that do not count."""
+    return ((view - space.mean) @ space.basis) * space.mask[..., None]
+
+
+def rotate_pi_map(values: Float[Array, "*n h w D"], space: MapSpace) -> Float[Array, "*n h w D"]:
+    """The projected map of the view turned by pi: cells reversed, channels times their parity."""
+    return values[..., ::-1, ::-1, :] * space.parity

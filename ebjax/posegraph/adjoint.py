@@ -1,0 +1,76 @@
+"""Derivatives of the optimal poses by the implicit function theorem, in forward and reverse mode.
+
+At the optimum the gradient g(delta, params) of the cost in the tangent space of the free poses is zero, so
+d delta / d params = -H^-1 dg / d params with H the true Hessian (kernel and residual curvature included), which has the
+pattern of the Gauss-Newton matrix: one sparse factorisation per derivative, whatever the number of steps before.
+"""
+
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from ebjax.posegraph.assembly import assemble, matvec
+from ebjax.posegraph.factors import edge_costs, edge_gradients, exact_blocks
+from ebjax.posegraph.linear import linear_solve
+from ebjax.posegraph.levenberg import Solution, minimise
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0, 1, 2))
+def optimum(kernel: str, max_steps: int, rtol: float, params: tuple, rest: tuple) -> Solution:
+    """`minimise`, differentiable in params = (graph's fixed poses, measured, information, width).
+
+    `rest` = (graph, structure) gives everything that has no derivative. The starting point has none either, and neither
+    have `iterations` and `status`; `initial_cost` is treated as a constant. The derivative holds where the cost has a
+    strict local minimum and the steps have converged.
+    """
+    graph, structure = rest
+    poses, measured, information, width = params
+    graph = replace(graph, poses=poses, measured=measured, information=information)
+    return minimise(graph, structure, kernel, width, max_steps, rtol)
+
+
+@optimum.defjvp
+def _optimum_jvp(kernel, max_steps, rtol, primals, tangents) -> tuple[Solution, Any]:
+    params, (graph, structure) = primals
+    solution = optimum(kernel, max_steps, rtol, params, (graph, structure))
+    lie = graph.lie
+    fixed = jnp.asarray(graph.fixed)
+
+    def with_params(params):
+        poses, measured, information, _ = params
+        poses = jnp.where(fixed[:, None], poses, solution.poses)
+        return replace(graph, poses=poses, measured=measured, information=information)
+
+    def gradient(params):
+        at = with_params(params)
+        gi, gj = edge_gradients(at, at.poses, kernel, params[3])
+        total = jnp.zeros((len(fixed), lie.dim), gi.dtype).at[graph.i].add(gi).at[graph.j].add(gj)
+        return jnp.where(fixed[:, None], 0, total)
+
+    def moved(params, delta):
+        at = with_params(params)
+        poses = lie.compose(at.poses, lie.exp(delta))
+        return poses, jnp.sum(edge_costs(at, poses, kernel, params[3]))
+
+    _, right = jax.jvp(gradient, (params,), (tangents[0],))
+    blocks = exact_blocks(with_params(params), solution.poses, kernel, params[3])
+    system, _ = assemble(graph, structure.pattern, blocks, ~fixed)
+    delta = jax.lax.custom_linear_solve(
+        lambda x: matvec(system, structure.pattern, x),
+        -right,
+        lambda _, b: _refined(structure, system, b),
+        symmetric=True,
+    )
+    _, (poses_dot, cost_dot) = jax.jvp(moved, (params, jnp.zeros_like(delta)), (tangents[0], delta))
+    zero = jax.tree.map(lambda x: jnp.zeros_like(x), solution.initial_cost)
+    integer = jnp.zeros((), jax.dtypes.float0)
+    return solution, Solution(poses_dot, cost_dot, zero, integer, integer)
+
+
+def _refined(structure, system, right):
+    """One step of iterative refinement after the solve."""
+    x = linear_solve(structure, system, right)
+    return x + linear_solve(structure, system, right - matvec(system, structure.pattern, x))

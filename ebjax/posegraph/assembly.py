@@ -1,0 +1,77 @@
+"""From edge blocks to the symmetric block-sparse system H x = b, the shape every linear solver here takes.
+
+H has a d x d block per pose and one per pair of poses that share edges; a pair's block is stored once, in the
+orientation (first, second) that its solver wants. Fixed poses keep an identity block and no neighbours.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from ebjax.posegraph.factors import EdgeBlocks
+from ebjax.posegraph.graph import PoseGraph
+
+
+class Pattern(NamedTuple):
+    """Where edges go: `slot` of the pair block ("S" = nowhere), `flipped` if it takes the transpose; pairs (first, second)."""
+
+    slot: Int[Array | np.ndarray, " E"]
+    flipped: Bool[Array | np.ndarray, " E"]
+    first: Int[Array | np.ndarray, " S"]
+    second: Int[Array | np.ndarray, " S"]
+
+
+class System(NamedTuple):
+    """Blocks of H: `diagonal` H_pp, `off` H_(first, second)."""
+
+    diagonal: Float[Array, "N d d"]
+    off: Float[Array, "S d d"]
+
+
+def make_pattern(graph: PoseGraph, rank: Int[np.ndarray, " N"], fill: list[tuple[int, int]] | None = None) -> Pattern:
+    """Numbers the pairs of free poses that share an edge, then the pairs in `fill`; the lower `rank` comes first.
+
+    Host code: `i`, `j` and `fixed` must be concrete.
+    """
+    i, j, fixed = (np.asarray(x) for x in (graph.i, graph.j, graph.fixed))
+    live = ~(fixed[i] | fixed[j]) & (i != j)
+    flipped = rank[i] > rank[j]
+    first, second = np.where(flipped, j, i), np.where(flipped, i, j)
+    n = max(len(rank), 1)
+    keys, slot = np.unique((first * n + second)[live], return_inverse=True)
+    extra = np.array([a * n + b for a, b in fill or []], keys.dtype)
+    keys = np.concatenate([keys, np.setdiff1d(extra, keys)])
+    slots = np.full(len(i), len(keys))
+    slots[live] = slot
+    return Pattern(slots, flipped, keys // n, keys % n)
+
+
+def assemble(
+    graph: PoseGraph, pattern: Pattern, blocks: EdgeBlocks, free: Bool[Array, " N"]
+) -> tuple[System, Float[Array, "N d"]]:
+    """Sums edge blocks into H and edge gradients into the gradient of the free poses."""
+    n, d = free.shape[0], blocks.gi.shape[-1]
+    dtype = blocks.gi.dtype
+    gradient = jnp.zeros((n, d), dtype).at[graph.i].add(blocks.gi).at[graph.j].add(blocks.gj)
+    diagonal = jnp.zeros((n, d, d), dtype).at[graph.i].add(blocks.ii).at[graph.j].add(blocks.jj)
+    off = jnp.zeros((len(pattern.first), d, d), dtype)
+    oriented = jnp.where(pattern.flipped[:, None, None], blocks.ij.swapaxes(-1, -2), blocks.ij)
+    off = off.at[pattern.slot].add(oriented, mode="drop")
+    eye = jnp.broadcast_to(jnp.eye(d, dtype=dtype), diagonal.shape)
+    diagonal = jnp.where(free[:, None, None], diagonal, eye)
+    return System(diagonal, off), jnp.where(free[:, None], gradient, 0)
+
+
+def damped(system: System, damping: Float[Array, ""]) -> System:
+    """H + damping I."""
+    d = system.diagonal.shape[-1]
+    return system._replace(diagonal=system.diagonal + damping * jnp.eye(d, dtype=system.off.dtype)[None])
+
+
+def matvec(system: System, pattern: Pattern, x: Float[Array, "N d"]) -> Float[Array, "N d"]:
+    """H x."""
+    y = jnp.sum(system.diagonal * x[:, None, :], -1)
+    y = y.at[pattern.first].add(jnp.sum(system.off * x[pattern.second][:, None, :], -1))
+    return y.at[pattern.second].add(jnp.sum(system.off * x[pattern.first][:, :, None], -2))

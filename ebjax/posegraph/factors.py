@@ -1,0 +1,138 @@
+"""What one edge contributes: residual r = log(measured^-1 * i_from_j), cost rho(r^T information r), gradient, Hessian.
+
+With A = world_from_i, B = world_from_j and perturbations on the right, dr/dB = Jr^-1(r) and
+dr/dA = -Jr^-1(r) Ad(j_from_i), so everything follows from one d x d product per edge.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from ebjax.geometry.lie import GROUPS, small_matmul
+from ebjax.posegraph.graph import PoseGraph
+from ebjax.posegraph.robust import rho, weight
+
+
+class EdgeBlocks(NamedTuple):
+    """Gauss-Newton blocks of every edge: Hessian [ii, ij; ij^T, jj] and gradient (gi, gj) of half the cost."""
+
+    ii: Float[Array, "E d d"]
+    ij: Float[Array, "E d d"]
+    jj: Float[Array, "E d d"]
+    gi: Float[Array, "E d"]
+    gj: Float[Array, "E d"]
+
+
+_once = jax.lax.optimization_barrier  # fusion would compute sines and products again for each of their readers
+
+
+def edge_residual(
+    group: str, a: Float[Array, "*b P"], b: Float[Array, "*b P"], measured: Float[Array, "*b P"]
+) -> Float[Array, "*b d"]:
+    """log(measured^-1 * a^-1 * b)."""
+    lie = GROUPS[group]
+    return lie.log(lie.compose(lie.inverse(measured), lie.compose(lie.inverse(a), b)))
+
+
+def _quadratic(r, information):
+    return jnp.sum(r * jnp.sum(information * r[..., None, :], -1), -1)
+
+
+def squared_residuals(graph: PoseGraph, poses: Float[Array, "N P"]) -> Float[Array, " E"]:
+    """r^T information r of every edge at `poses`, the squared Mahalanobis distances."""
+    return _quadratic(edge_residual(graph.group, poses[graph.i], poses[graph.j], graph.measured), graph.information)
+
+
+def edge_costs(
+    graph: PoseGraph, poses: Float[Array, "N P"], kernel: str, width: Float[Array, ""]
+) -> Float[Array, " E"]:
+    """rho of every robust edge, the squared residual of the others; their sum is the cost that `solve` reports."""
+    s = squared_residuals(graph, poses)
+    return jnp.where(graph.robust, rho(kernel, s, width), s)
+
+
+def _mv(a, b):
+    return jnp.sum(a * b[..., None, :], -1)
+
+
+def _terms(graph, poses):
+    """Residual, transposed Jacobian of the log, and transposed adjoint of j_from_i, per edge."""
+    lie = graph.lie
+    i_from_j = _once(lie.compose(lie.inverse(poses[graph.i]), poses[graph.j]))
+    r = _once(lie.log(lie.compose(lie.inverse(graph.measured), i_from_j)))
+    jb_t = _once(lie.log_jacobian(r).swapaxes(-1, -2))
+    return r, jb_t, _once(lie.adjoint(lie.inverse(i_from_j)).swapaxes(-1, -2))
+
+
+def _edge_weight(graph, s, kernel, width):
+    return jnp.where(graph.robust, weight(kernel, s, width), 1)
+
+
+def gauss_newton_blocks(
+    graph: PoseGraph,
+    poses: Float[Array, "N P"],
+    kernel: str,
+    width: Float[Array, ""],
+    bent: Bool[Array, ""] | None = None,
+) -> EdgeBlocks:
+    """Blocks of J^T W J and J^T W r with W = rho'(s) * information, the reweighted (IRLS) approximation.
+
+    Where `bent`, W takes in the kernel's curvature, 2 rho''(s) information r r^T information, as far as it leaves W
+    positive semidefinite: near the optimum that saves most of the steps which reweighting alone needs.
+    """
+    r, jb_t, ad_t = _terms(graph, poses)
+    pulled = _mv(graph.information, r)
+    s = jnp.sum(r * pulled, -1)
+    scale, bend = _slopes(graph, s, kernel, width)
+    metric = graph.information * scale[:, None, None]
+    if bent is not None and kernel != "none":
+        bend = jnp.where(bent, jnp.maximum(2 * bend, -scale / jnp.maximum(s, jnp.finfo(s.dtype).tiny)), 0)
+        metric = metric + bend[:, None, None] * pulled[:, :, None] * pulled[:, None, :]
+    jj = _once(small_matmul(_once(small_matmul(jb_t, _once(metric))), jb_t.swapaxes(-1, -2)))
+    return _spread(jj, jj, ad_t, _mv(jb_t, scale[:, None] * pulled))
+
+
+def _slopes(graph, s, kernel, width):
+    """rho' and rho'' of every edge."""
+    return jax.jvp(lambda s: _edge_weight(graph, s, kernel, width), (s,), (jnp.ones_like(s),))
+
+
+def _spread(jj, cross, ad_t, gj):
+    """Carries the block of pose j to pose i, which moves the edge by -Ad(j_from_i)."""
+    ij = _once(-small_matmul(ad_t, cross))
+    return EdgeBlocks(small_matmul(small_matmul(ad_t, jj), ad_t.swapaxes(-1, -2)), ij, jj, -_mv(ad_t, gj), gj)
+
+
+def edge_gradients(
+    graph: PoseGraph, poses: Float[Array, "N P"], kernel: str, width: Float[Array, ""]
+) -> tuple[Float[Array, "E d"], Float[Array, "E d"]]:
+    """Gradient of half the cost with respect to both poses of every edge; differentiable in all of the graph."""
+    r, jb_t, ad_t = _terms(graph, poses)
+    scale = _edge_weight(graph, _quadratic(r, graph.information), kernel, width)
+    gj = _mv(jb_t, scale[:, None] * _mv(graph.information, r))
+    return -_mv(ad_t, gj), gj
+
+
+def exact_blocks(graph: PoseGraph, poses: Float[Array, "N P"], kernel: str, width: Float[Array, ""]) -> EdgeBlocks:
+    """Blocks of the true Hessian of half the cost, the curvature of the kernel and of the residual included.
+
+    With g(r) = Jr^-T rho' information r the gradient at pose j, the Hessian there is the symmetric part of
+    dg/dr Jr^-1; between i and j the bracket g . [u, v] of the two perturbations adds half of its matrix.
+    """
+    lie = graph.lie
+    r, jb_t, ad_t = _terms(graph, poses)
+    pulled = _mv(graph.information, r)
+    s = jnp.sum(r * pulled, -1)
+    scale, bend = _slopes(graph, s, kernel, width)
+    force = scale[:, None] * pulled
+    metric = graph.information * scale[:, None, None]
+    metric = metric + 2 * bend[:, None, None] * pulled[:, :, None] * pulled[:, None, :]
+    turn = jax.vmap(jax.jacfwd(lambda r, v: _mv(lie.log_jacobian(r).swapaxes(-1, -2), v)))(r, force)
+    jb = jb_t.swapaxes(-1, -2)
+    jj = small_matmul(turn + small_matmul(jb_t, metric), jb)
+    jj = (jj + jj.swapaxes(-1, -2)) / 2
+    gj = _mv(jb_t, force)
+    bracket = jnp.sum(jnp.asarray(lie.bracket, r.dtype)[None] * gj[:, None, None, :], -1)
+    return _spread(jj, jj + bracket / 2, ad_t, gj)

@@ -1,0 +1,71 @@
+"""Which linear solver a graph gets: elimination in JAX where the loops leave a small core, sparse LDL^T elsewhere."""
+
+import hashlib
+from collections import OrderedDict
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from ebjax.posegraph import elimination, sparse
+from ebjax.posegraph.assembly import Pattern, System
+from ebjax.posegraph.graph import PoseGraph, anchored
+
+SOLVERS = ("auto", "elimination", "sparse")
+LARGEST_CORE = 400
+_STRUCTURES: OrderedDict[bytes, "Structure"] = OrderedDict()
+_KEPT = 32
+
+
+class Structure(NamedTuple):
+    """The symbolic part of a graph's solve: where blocks go, the linear solver's plan, and `fixed` with the gauge."""
+
+    pattern: Pattern
+    plan: elimination.Elimination | sparse.SparsePlan
+    fixed: Bool[Array | np.ndarray, " N"]
+
+
+def analyse(graph: PoseGraph, solver: str = "auto") -> Structure:
+    """Chooses and prepares the linear solver; the answer is remembered per structure. Host code.
+
+    Args:
+      graph: its `i`, `j`, `fixed` must be concrete (not traced); the other fields may be anything.
+      solver: "elimination", "sparse", or "auto": elimination if the dense core has at most `LARGEST_CORE` unknowns.
+
+    Raises:
+      ValueError: unknown solver, or traced edges.
+    """
+    if solver not in SOLVERS:
+        raise ValueError(f"solver {solver!r} is unknown; choose one of {', '.join(SOLVERS)}")
+    if any(isinstance(x, jax.core.Tracer) for x in (graph.i, graph.j, graph.fixed)):
+        raise ValueError(
+            "the graph's edges are traced; call analyse(graph) outside jit and pass its result as structure="
+        )
+    i, j, fixed = (np.ascontiguousarray(x) for x in (graph.i, graph.j, graph.fixed))
+    if len(i) and (min(i.min(), j.min()) < 0 or max(i.max(), j.max()) >= len(fixed)):
+        raise ValueError(f"an edge names a pose outside 0 to {len(fixed) - 1}; renumber i and j by row")
+    digest = hashlib.sha1(f"{solver} {graph.group} {i.dtype} {len(i)}".encode())
+    for x in (i, j, fixed):
+        digest.update(x.tobytes())
+    key = digest.digest()
+    structure = _STRUCTURES.pop(key, None) or _analyse(graph, solver)
+    _STRUCTURES[key] = structure
+    if len(_STRUCTURES) > _KEPT:
+        _STRUCTURES.popitem(last=False)
+    return structure
+
+
+def _analyse(graph, solver):
+    graph = anchored(graph)
+    if solver != "sparse":
+        pattern, plan = elimination.analyse(graph)
+        if solver == "elimination" or len(plan.core) * graph.lie.dim <= LARGEST_CORE:
+            return Structure(pattern, plan, graph.fixed)
+    return Structure(*sparse.analyse(graph), graph.fixed)
+
+
+def linear_solve(structure: Structure, system: System, right: Float[Array, "N d"]) -> Float[Array, "N d"]:
+    """H^-1 right by the structure's solver."""
+    module = elimination if isinstance(structure.plan, elimination.Elimination) else sparse
+    return module.solve(structure.plan, system, right)

@@ -1,0 +1,66 @@
+"""The front door: `solve(graph)` optimises a pose graph; jit, vmap and differentiate it as you like."""
+
+from dataclasses import replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ebjax.posegraph.adjoint import optimum
+from ebjax.posegraph.graph import PoseGraph, check
+from ebjax.posegraph.linear import Structure, analyse
+from ebjax.posegraph.levenberg import Solution
+from ebjax.posegraph.robust import KERNELS
+
+
+def solve(
+    graph: PoseGraph,
+    *,
+    kernel: str = "cauchy",
+    width: float | Float[Array, ""] = 1.0,
+    max_steps: int = 50,
+    rtol: float = 1e-9,
+    solver: str = "auto",
+    structure: Structure | None = None,
+) -> Solution:
+    """Minimises sum_k rho(r_k^T information_k r_k), r = log(measured^-1 * i_from_j), from `graph.poses`.
+
+    The kernel applies to the edges marked `robust`. Where a connected piece of the graph has no fixed pose, its first
+    stays where it is. Poses, cost and gradients keep the dtype of `graph.poses`; float64 needs JAX's x64 mode.
+    Gradients of `poses` and `cost` with respect to measured, information, width and the fixed poses are exact at
+    convergence (`ebjax.posegraph.adjoint`): use a small `rtol` for them.
+
+    Args:
+      graph: without edges, or with fewer than two poses, it is returned as it is, cost 0, converged.
+      kernel: "none", "cauchy", "huber", "geman-mcclure" or "dcs".
+      width: of the kernel, in standard deviations.
+      max_steps: steps tried at most, accepted or not.
+      rtol: the loop ends when a step lowers the cost by less than this share.
+      solver: "auto", "elimination" or "sparse"; see `ebjax.posegraph.linear.analyse`.
+      structure: the result of `analyse(graph)`, needed where `i`, `j` or `fixed` are traced.
+
+    Returns:
+      A `Solution`; non-convergence is its `status`, not an error.
+
+    Raises:
+      ValueError: unknown kernel or solver, wrong shapes, non-finite numbers or an information matrix that is not
+        positive definite (both only where the arrays are concrete).
+    """
+    if kernel not in KERNELS:
+        raise ValueError(f"kernel {kernel!r} is unknown; choose one of {', '.join(KERNELS)}")
+    check(graph)
+    dtype = jnp.asarray(graph.poses).dtype
+    if len(graph.poses) < 2 or len(graph.i) == 0:
+        zero, none = jnp.zeros((), dtype), jnp.zeros((), jnp.int32)
+        return Solution(jnp.asarray(graph.poses), zero, zero, none, none)
+    if structure is None:
+        structure = analyse(graph, solver)
+    graph = replace(graph, fixed=structure.fixed)
+    return _solve(graph, structure, jnp.asarray(width, dtype), kernel=kernel, max_steps=max_steps, rtol=rtol)
+
+
+@partial(jax.jit, static_argnames=("kernel", "max_steps", "rtol"))
+def _solve(graph, structure, width, *, kernel, max_steps, rtol):
+    params = tuple(jnp.asarray(x, width.dtype) for x in (graph.poses, graph.measured, graph.information))
+    return optimum(kernel, max_steps, rtol, (*params, width), (graph, structure))

@@ -1,0 +1,116 @@
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from ebjax.floors.corridor import straight_corridor
+from ebjax.floors.render import Light
+from ebjax.floors.render import render as render_eagerly
+from ebjax.geometry.camera import backproject, camera_over_floor, project
+
+X_MIN, X_MAX, WIDTH, TEXEL = -2.0, 8.0, 2.4, 0.02
+render = jax.jit(render_eagerly)
+FLAT = Light(jnp.ones(3), jnp.asarray(0.0), jnp.asarray(0.0), jnp.asarray(0.0))
+
+
+def pose(x, y, heading):
+    c, s = np.cos(heading), np.sin(heading)
+    return jnp.array([[c, -s, 0, x], [s, c, 0, y], [0, 0, 1, 0], [0, 0, 0, 1]])
+
+
+def camera(height_m=0.54, pitch=0.33, scale=8):
+    return camera_over_floor(
+        615 / scale, 615 / scale, 320 / scale, 240 / scale, 640 // scale, 480 // scale, height_m, pitch, 0.02, 0.27
+    )
+
+
+def corridor_of(texture):
+    return straight_corridor(X_MIN, X_MAX, WIDTH, 2.4, texture, TEXEL)
+
+
+@pytest.fixture(scope="module")
+def ramps():
+    """A floor whose red is x and whose green is y, over a constant blue."""
+    rows, columns = round(WIDTH / TEXEL), round((X_MAX - X_MIN) / TEXEL)
+    x, y = X_MIN + (np.arange(columns) + 0.5) * TEXEL, -WIDTH / 2 + (np.arange(rows) + 0.5) * TEXEL
+    return corridor_of(jnp.asarray(np.stack([*np.meshgrid(x, y), np.ones((rows, columns))], axis=-1)))
+
+
+def test_floor_points_land_where_the_camera_projects_them(ramps):
+    cam, world_from_base = camera(), pose(1.0, 0.2, 0.15)
+    radiance, depth = render(ramps, cam, world_from_base, FLAT)
+    # The constant channel divides the shading out; texture filtering keeps a ramp, up to the clamped edges.
+    xy = np.asarray(radiance[..., :2] / radiance[..., 2:])
+    v, u = np.mgrid[: cam.height, : cam.width]
+    near = (np.asarray(depth) < 2.5) & (np.abs(xy[..., 1]) < 0.9)
+    world = np.concatenate([xy[near], np.zeros((near.sum(), 1)), np.ones((near.sum(), 1))], axis=1)
+    base = world @ np.linalg.inv(np.asarray(world_from_base)).T
+    pixels, ahead = project(cam, jnp.asarray(base[:, :3]))
+    assert near.mean() > 0.3
+    assert np.abs(np.asarray(pixels) - np.stack([u[near], v[near]], axis=1)).max() < 0.05
+    np.testing.assert_allclose(ahead, np.asarray(depth)[near], atol=1e-5)
+
+
+@pytest.mark.parametrize("heading", [0.0, 0.4, 2.0, np.pi])
+def test_depth_lifts_every_pixel_onto_a_plane(ramps, heading):
+    cam, world_from_base = camera(scale=16), pose(3.0, -0.3, heading)
+    _, depth = render(ramps, cam, world_from_base, FLAT)
+    v, u = jnp.mgrid[: cam.height, : cam.width]
+    pixels = jnp.stack([u.reshape(-1), v.reshape(-1)], axis=1).astype(jnp.float64)
+    points = backproject(pixels, depth.reshape(-1), cam.intrinsics)
+    x, y, z, _ = (world_from_base @ cam.base_from_camera) @ jnp.concatenate([points, jnp.ones((len(points), 1))], 1).T
+    planes = jnp.stack([z, z - 2.6, x - X_MIN, x - X_MAX, y - WIDTH / 2, y + WIDTH / 2])
+    assert jnp.all(jnp.isfinite(depth)) and jnp.all(depth > 0)
+    assert jnp.abs(planes).min(axis=0).max() < 1e-5
+    inside = (x > X_MIN - 1e-5) & (x < X_MAX + 1e-5) & (jnp.abs(y) < WIDTH / 2 + 1e-5) & (z > -1e-5) & (z < 2.6 + 1e-5)
+    assert inside.all()
+
+
+def test_far_floor_does_not_alias():
+    rows, columns = round(WIDTH / TEXEL), round((X_MAX - X_MIN) / TEXEL)
+    checker = (np.add.outer(np.arange(rows), np.arange(columns)) % 2).astype(np.float32)
+    flat, grey = (corridor_of(jnp.asarray(np.repeat(t[..., None], 3, -1))) for t in (checker, 0 * checker + 0.5))
+    cam = camera(scale=4)
+    (seen, depth), (expected, _) = (render(c, cam, pose(-1.0, 0.0, 0.03), FLAT) for c in (flat, grey))
+    v = jnp.broadcast_to(jnp.arange(cam.height)[:, None], depth.shape)
+    far = (depth > 3.0) & (v > 25)
+    assert far.sum() > 300
+    assert jnp.abs(jnp.where(far[..., None], seen - expected, 0)).max() < 0.05
+
+
+def test_walls_carry_doors_and_light_changes_the_image(ramps):
+    cam = camera(scale=8)
+    image, _ = render(ramps, cam, pose(3.6, -0.8, np.pi / 2), FLAT)
+    row = image[2, :, 0]
+    assert row.max() > 0.5 and row.min() < 0.2, "facing a wall shows plaster and a door"
+    dim = replace(FLAT, level=0.5 * jnp.ones(3))
+    np.testing.assert_allclose(render(ramps, cam, pose(3.6, -0.8, np.pi / 2), dim)[0], 0.5 * image, atol=1e-12)
+    glossy = render(ramps, cam, pose(0.0, 0.0, 0.0), replace(FLAT, gloss=jnp.asarray(1.0)))[0]
+    assert jnp.all(glossy >= render(ramps, cam, pose(0.0, 0.0, 0.0), FLAT)[0])
+
+
+def test_differentiable_in_the_camera_and_the_floor(ramps):
+    @jax.jit
+    def brightness(height_m, pitch):
+        radiance, _ = render(ramps, camera(height_m, pitch, scale=32), pose(2.0, 0.0, 0.1), FLAT)
+        return jnp.mean(radiance[8:] ** 2)
+
+    at, eps = (0.54, 0.33), 1e-6
+    found = jax.jit(jax.grad(brightness, (0, 1)))(*map(jnp.asarray, at))
+    for i in (0, 1):
+        up, down = ([a + s * eps * (j == i) for j, a in enumerate(at)] for s in (1, -1))
+        assert float(found[i]) == pytest.approx(float(brightness(*up) - brightness(*down)) / (2 * eps), rel=1e-5)
+
+    def total(texels):
+        corridor = replace(ramps, floor=replace(ramps.floor, texels=texels))
+        return render(corridor, camera(scale=32), pose(2.0, 0.0, 0.1), FLAT)[0].sum()
+
+    by_texel = jax.grad(total)(ramps.floor.texels)
+    assert jnp.all(jnp.isfinite(by_texel)) and by_texel.sum() > 0
+
+
+def test_dtype_follows_the_inputs(ramps):
+    single = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), (ramps, camera(scale=32), pose(0, 0, 0), FLAT))
+    assert {leaf.dtype for leaf in render(*single)} == {jnp.dtype(jnp.float32)}

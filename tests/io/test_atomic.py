@@ -1,0 +1,70 @@
+import pytest
+
+from ebjax.io.atomic import whole_file, whole_folder
+
+
+def contents(folder):
+    return {str(p.relative_to(folder)): p.read_text() for p in folder.rglob("*") if p.is_file()}
+
+
+def test_file_appears_whole_with_its_parents(tmp_path):
+    with whole_file(tmp_path / "a" / "b.txt") as file:
+        file.write("größe\n")
+        assert not (tmp_path / "a" / "b.txt").exists()
+    assert (tmp_path / "a" / "b.txt").read_bytes() == "größe\n".encode()
+    with whole_file(tmp_path / "a" / "c.bin", "wb") as file:
+        file.write(b"\x00\xff")
+    assert (tmp_path / "a" / "c.bin").read_bytes() == b"\x00\xff"
+
+
+@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
+def test_failure_leaves_the_old_file_and_nothing_else(tmp_path, error):
+    (tmp_path / "b.txt").write_text("old")
+    with pytest.raises(error), whole_file(tmp_path / "b.txt") as file:
+        file.write("half")
+        raise error
+    assert contents(tmp_path) == {"b.txt": "old"}
+
+
+def test_file_over_a_folder_names_it(tmp_path):
+    with pytest.raises(OSError, match="name a file"), whole_file(tmp_path):
+        pass
+
+
+def test_new_folder_appears_at_once(tmp_path):
+    with whole_folder(tmp_path / "run" / "one") as folder:
+        (folder / "deep").mkdir()
+        (folder / "deep" / "x").write_text("1")
+        assert not (tmp_path / "run" / "one").exists()
+    assert contents(tmp_path) == {"run/one/deep/x": "1"}
+
+
+def test_existing_folder_keeps_other_files(tmp_path):
+    (tmp_path / "mine").write_text("keep")
+    (tmp_path / "x").write_text("old")
+    with whole_folder(tmp_path) as folder:
+        (folder / "x").write_text("new")
+        (folder / "sub").mkdir()
+        (folder / "sub" / "y").write_text("2")
+    assert contents(tmp_path) == {"mine": "keep", "x": "new", "sub/y": "2"}
+    assert not [p for p in tmp_path.iterdir() if "partial" in p.name]
+
+
+@pytest.mark.parametrize("exists", [False, True])
+def test_failed_folder_changes_nothing(tmp_path, exists):
+    target = tmp_path / "run"
+    if exists:
+        target.mkdir()
+        (target / "x").write_text("old")
+    before = contents(tmp_path)
+    with pytest.raises(RuntimeError), whole_folder(target) as folder:
+        (folder / "x").write_text("half")
+        raise RuntimeError
+    assert contents(tmp_path) == before
+    assert target.exists() == exists
+
+
+def test_folder_over_a_file_names_it(tmp_path):
+    (tmp_path / "f").write_text("")
+    with pytest.raises(OSError, match="name a folder"), whole_folder(tmp_path / "f"):
+        pass

@@ -1,0 +1,165 @@
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from ebjax.io.sequence import BrokenFrame, read_sequence
+
+CAMERA = {"fx": 8, "fy": 8, "cx": 4, "cy": 3, "width": 8, "height": 6, "depth_scale": 1000}
+MOUNT = [[0, 0, 1, 0.27], [-1, 0, 0, 0], [0, -1, 0, 0.54], [0, 0, 0, 1]]
+
+
+def tum(times, x=None):
+    x = times if x is None else x
+    return "# timestamp tx ty tz qx qy qz qw\n" + "".join(
+        f"{t:.6f} {v:.6f} 0 0 0 0 0 1\n" for t, v in zip(times, x, strict=True)
+    )
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Ten 8x6 frames at 5 Hz with depth 3 ms later, odometry x = t at 10 Hz, ground truth from the fourth frame on."""
+    times = 100 + np.arange(10) * 0.2
+    (tmp_path / "rgb").mkdir()
+    (tmp_path / "depth").mkdir()
+    rgb, depth = "", "# depth\n"
+    for k, t in enumerate(times):
+        cv2.imwrite(str(tmp_path / "rgb" / f"{k}.jpg"), np.full((6, 8, 3), 20 * k, np.uint8))
+        cv2.imwrite(str(tmp_path / "depth" / f"{k}.png"), np.full((6, 8), 1000 + k, np.uint16))
+        rgb += f"{t:.6f} rgb/{k}.jpg\n"
+        depth += f"{t + 0.003:.6f} depth/{k}.png\n"
+    (tmp_path / "rgb.txt").write_text(rgb)
+    (tmp_path / "depth.txt").write_text(depth)
+    (tmp_path / "odometry.txt").write_text(tum(99.95 + np.arange(30) * 0.1))
+    (tmp_path / "groundtruth.txt").write_text(tum(times[3:]))
+    (tmp_path / "camera.json").write_text(json.dumps(CAMERA | {"T_base_camera": MOUNT}))
+    return tmp_path
+
+
+def test_frames_poses_and_depth(folder):
+    run = read_sequence(folder)
+    assert len(run) == 10 and run.has_depth and run.dropped == ()
+    assert run.names[3] == "rgb/3.jpg"
+    np.testing.assert_allclose(run.odom_from_base[:, 0, 3], run.timestamps, atol=1e-9)
+    assert np.isnan(run.world_from_base[:3]).all()
+    np.testing.assert_allclose(run.world_from_base[3:, 0, 3], run.timestamps[3:], atol=1e-9)
+    assert run.rgb(4).shape == (6, 8, 3) and abs(int(run.rgb(4)[0, 0, 0]) - 80) <= 2
+    np.testing.assert_allclose(run.depth(7), 1.007, rtol=1e-6)
+
+
+def test_depth_and_truth_are_optional(folder):
+    assert not read_sequence(folder, depth=False).has_depth
+    (folder / "depth.txt").unlink()
+    (folder / "groundtruth.txt").unlink()
+    run = read_sequence(folder)
+    assert not run.has_depth and run.world_from_base is None
+    with pytest.raises(ValueError, match=r"depth\.txt"):
+        run.depth(0)
+
+
+def test_broken_frames_are_found_when_read(folder):
+    whole = (folder / "rgb" / "5.jpg").read_bytes()
+    (folder / "rgb" / "5.jpg").write_bytes(whole[: len(whole) // 2])
+    (folder / "rgb" / "6.jpg").unlink()
+    cv2.imwrite(str(folder / "rgb" / "7.jpg"), np.zeros((3, 4, 3), np.uint8))
+    (folder / "depth" / "8.png").write_bytes((folder / "depth" / "8.png").read_bytes()[:-5])
+    run = read_sequence(folder)
+    for k in (5, 6, 7):
+        with pytest.raises(BrokenFrame, match=rf"rgb/{k}\.jpg"):
+            run.rgb(k)
+    with pytest.raises(BrokenFrame, match=r"depth/8\.png"):
+        run.depth(8)
+    run.rgb(8)
+
+
+def test_frames_without_odometry_are_dropped_by_name(folder):
+    (folder / "odometry.txt").write_text(tum(99.95 + np.arange(18) * 0.1))
+    run = read_sequence(folder)
+    assert len(run) == 9 and len(run.dropped) == 1
+    assert run.dropped[0][0] == "rgb/9.jpg" and "no odometry pose" in run.dropped[0][1]
+
+
+def test_sparse_odometry_is_not_interpolated_over_a_gap(folder):
+    times = np.array([100.0, 100.2, 100.41, 101.2, 101.4, 101.6, 101.81])
+    (folder / "odometry.txt").write_text(tum(times))
+    run = read_sequence(folder, min_coverage=0.5)
+    # 100.4 lies between two samples 0.21 s apart, 101.8 too; 100.6, 100.8 and 101.0 lie in a gap of 0.79 s.
+    assert [name for name, _ in run.dropped] == ["rgb/3.jpg", "rgb/4.jpg", "rgb/5.jpg"]
+    np.testing.assert_allclose(run.odom_from_base[:, 0, 3], run.timestamps, atol=1e-9)
+
+
+def test_half_the_odometry_says_how_many_matched(folder):
+    (folder / "odometry.txt").write_text(tum(100 + np.arange(9) * 0.1))
+    with pytest.raises(ValueError, match=r"odometry\.txt: 5 of 10 frames have an odometry pose .*--min-coverage"):
+        read_sequence(folder)
+    assert len(read_sequence(folder, min_coverage=0.5)) == 5
+
+
+def test_too_little_depth_says_how_many_matched(folder):
+    lines = (folder / "depth.txt").read_text().splitlines()
+    (folder / "depth.txt").write_text("\n".join(lines[:6]))
+    with pytest.raises(ValueError, match=r"depth\.txt: 5 of 10 frames have a depth image .*--depth none"):
+        read_sequence(folder)
+    run = read_sequence(folder, min_coverage=0.5)
+    with pytest.raises(BrokenFrame, match=r"rgb/9\.jpg: depth\.txt has no image near"):
+        run.depth(9)
+
+
+def test_truth_with_another_clock_is_not_ignored(folder):
+    (folder / "groundtruth.txt").write_text(tum(5000 + np.arange(9) * 0.1))
+    with pytest.raises(ValueError, match=r"groundtruth\.txt: 0 of 10 frames"):
+        read_sequence(folder)
+
+
+@pytest.mark.parametrize("name", ["rgb.txt", "camera.json", "odometry.txt"])
+def test_missing_files_are_named(folder, name):
+    (folder / name).unlink()
+    with pytest.raises(ValueError, match=rf"{name}: no such file; a sequence needs"):
+        read_sequence(folder)
+
+
+def test_missing_folder(tmp_path):
+    with pytest.raises(ValueError, match="nowhere: no such folder"):
+        read_sequence(tmp_path / "nowhere")
+
+
+@pytest.mark.parametrize("name", ["rgb.txt", "depth.txt", "odometry.txt", "groundtruth.txt"])
+@pytest.mark.parametrize("fault, words", [("swap", "earlier.*sort the file"), ("repeat", "remove one of the two")])
+def test_times_out_of_order_name_file_and_line(folder, name, fault, words):
+    lines = [line for line in (folder / name).read_text().splitlines() if not line.startswith("#")]
+    lines[3:5] = [lines[4], lines[3]] if fault == "swap" else [lines[3], lines[3]]
+    (folder / name).write_text("\n".join(lines) + "\n")
+    with pytest.raises(ValueError, match=rf"{name} line 5: .*{words}"):
+        read_sequence(folder)
+
+
+@pytest.mark.parametrize(
+    "name, text, words",
+    [
+        ("rgb.txt", "", "no frames"),
+        ("rgb.txt", "# timestamp file\n", "no frames"),
+        ("rgb.txt", "1.0 rgb/0.jpg\n", "one frame only"),
+        ("rgb.txt", "1.0 rgb/0.jpg\n2.0\n", "line 2: '2.0' is not `timestamp file`"),
+        ("rgb.txt", "nan rgb/0.jpg\n2.0 rgb/1.jpg\n", "line 1: nan is not a finite number"),
+        ("odometry.txt", "", "no poses"),
+        ("odometry.txt", "1 0 0 nan 0 0 0 1\n", "line 1: nan"),
+        ("depth.txt", "", "no depth images"),
+    ],
+)
+def test_bad_lists_name_file_and_line(folder, name, text, words):
+    (folder / name).write_text(text)
+    with pytest.raises(ValueError, match=f"{name}.*{words}"):
+        read_sequence(folder)
+
+
+def test_names_with_spaces(folder):
+    (folder / "rgb" / "0.jpg").rename(folder / "rgb" / "frame 0.jpg")
+    (folder / "rgb.txt").write_text((folder / "rgb.txt").read_text().replace("rgb/0.jpg", "rgb/frame 0.jpg"))
+    assert read_sequence(folder).rgb(0).shape == (6, 8, 3)
+
+
+def test_real_run(data):
+    run = read_sequence(data("corridor_rgbd"))
+    assert len(run) == 172 and run.has_depth and np.isfinite(run.world_from_base).all()
+    assert run.rgb(171).shape == (480, 640, 3) and 1 < np.median(run.depth(0)) < 5
