@@ -1,12 +1,14 @@
 """Descriptor matching in JAX: mutual nearest neighbours and Lowe's ratio, fixed shapes."""
 
 import dataclasses
+import typing
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 
+@typing.no_type_check
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Features:
@@ -17,6 +19,7 @@ class Features:
     valid: Bool[Array, "*n K"]
 
 
+@typing.no_type_check
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Matches:
@@ -28,7 +31,7 @@ class Matches:
     valid: Bool[Array, "*n M"]
 
 
-def mutual_nearest(query: Features, reference: Features, *, max_ratio: float = 0.9, keep: int = 200) -> Matches:
+def mutual_nearest(query: Features, reference: Features, *, max_ratio: float = 1.0, keep: int = 200) -> Matches:
     """Pairs that are each other's nearest neighbours, with distance / second distance at most `max_ratio`.
 
     Args:
@@ -40,8 +43,11 @@ def mutual_nearest(query: Features, reference: Features, *, max_ratio: float = 0
     similarity = query.descriptors @ reference.descriptors.T
     allowed = query.valid[:, None] & reference.valid[None, :]
     similarity = jnp.where(allowed, similarity, -2.0)
-    top, index = jax.lax.top_k(similarity, 2)
-    nearest = index[:, 0].astype(jnp.int32)
+    nearest = jnp.argmax(similarity, axis=1).astype(jnp.int32)
+    first = jnp.take_along_axis(similarity, nearest[:, None], axis=1)
+    columns = jnp.arange(similarity.shape[1], dtype=jnp.int32)
+    others = jnp.where(columns[None, :] == nearest[:, None], -2.0, similarity)
+    top = jnp.concatenate([first, jnp.max(others, axis=1, keepdims=True)], axis=1)
     back = jnp.argmax(similarity, axis=0).astype(jnp.int32)
     distance = jnp.sqrt(jnp.maximum(2 - 2 * top, 1e-12))
     ratio = distance[:, 0] / distance[:, 1]

@@ -6,6 +6,7 @@ No orientation is estimated: floor views are aligned by R_pi, and upright descri
 """
 
 import dataclasses
+import typing
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +18,7 @@ BINS = 4
 DIMENSION = BINS * BINS * ORIENTATIONS
 
 
+@typing.no_type_check
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class OrientationMap:

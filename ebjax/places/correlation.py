@@ -7,6 +7,7 @@ The best shift is a first measurement of the loop. Both directions share one spe
 """
 
 import dataclasses
+import typing
 
 import jax
 import jax.numpy as jnp
@@ -18,6 +19,7 @@ OVERLAP_POWER = 0.5
 MIN_OVERLAP = 0.15
 
 
+@typing.no_type_check
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Spectrum:
@@ -39,9 +41,7 @@ def _transform(values: Float[Array, "h w D"]) -> Complex[Array, "L M D"]:
     return jnp.fft.rfft2(values, _padded(values.shape[:2]), axes=(0, 1))
 
 
-def _both_ways(
-    a: Complex[Array, "L M D"], b: Complex[Array, "L M D"], size: tuple[int, int]
-) -> Float[Array, "P Q 2"]:
+def _both_ways(a: Complex[Array, "L M D"], b: Complex[Array, "L M D"], size: tuple[int, int]) -> Float[Array, "P Q 2"]:
     """Sums over channels of corr(a, b) and corr(a, b reversed), brought to the same shift index (signed, wrapped)."""
     same = jnp.fft.irfft2(jnp.sum(a * jnp.conj(b), -1), _padded(size))
     turned = jnp.fft.irfft2(jnp.sum(a * b, -1), _padded(size))

@@ -6,6 +6,7 @@ vector is even or odd under R_pi, so the map of the view turned by pi is the rev
 """
 
 import dataclasses
+import typing
 
 import jax
 import jax.numpy as jnp
@@ -16,9 +17,10 @@ from ebjax.models.rootsift import DIMENSION, describe, pool_orientations, rotate
 
 STRIDE_PX = 8
 BIN_PX = (6.0, 12.0)
-MIN_SUPPORT = 0.5
+MIN_SUPPORT = 0.8
 
 
+@typing.no_type_check
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class MapSpace:
@@ -39,9 +41,7 @@ def grid(size: tuple[int, int]) -> Float[np.ndarray, "h w 2"]:
     return np.stack(np.meshgrid(*axes, indexing="xy"), -1).astype(np.float32)
 
 
-def dense(
-    grey: Float[Array, "H W"], seen: Float[Array, "H W"]
-) -> tuple[Float[Array, "h w D0"], Float[Array, "h w"]]:
+def dense(grey: Float[Array, "H W"], seen: Float[Array, "H W"]) -> tuple[Float[Array, "h w D0"], Float[Array, "h w"]]:
     """Upright rootSIFT at both scales in every cell, and the least share of its support inside the field of view."""
     points = grid((grey.shape[0], grey.shape[1]))
     shape, flat = points.shape[:2], jnp.asarray(points.reshape(-1, 2), grey.dtype)

@@ -5,6 +5,7 @@ one jitted program per block of queries; scores come from images alone, odometry
 """
 
 import dataclasses
+import typing
 from functools import partial
 
 import jax
@@ -15,6 +16,7 @@ from ebjax.places.correlation import Spectrum, correlate
 from ebjax.places.descriptor_map import MapSpace
 
 
+@typing.no_type_check
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class LoopCandidates:

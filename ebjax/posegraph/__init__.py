@@ -2,8 +2,8 @@
 
 from ebjax.posegraph.consistency import consistent_set
 from ebjax.posegraph.graph import PoseGraph, make_graph
-from ebjax.posegraph.linear import analyse
 from ebjax.posegraph.levenberg import STATUS, Solution
+from ebjax.posegraph.linear import analyse
 from ebjax.posegraph.lm import solve
 
 __all__ = ["STATUS", "PoseGraph", "Solution", "analyse", "consistent_set", "make_graph", "solve"]

@@ -14,8 +14,8 @@ import jax.numpy as jnp
 
 from ebjax.posegraph.assembly import assemble, matvec
 from ebjax.posegraph.factors import edge_costs, edge_gradients, exact_blocks
-from ebjax.posegraph.linear import linear_solve
 from ebjax.posegraph.levenberg import Solution, minimise
+from ebjax.posegraph.linear import linear_solve
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0, 1, 2))

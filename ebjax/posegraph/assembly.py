@@ -15,7 +15,7 @@ from ebjax.posegraph.graph import PoseGraph
 
 
 class Pattern(NamedTuple):
-    """Where edges go: `slot` of the pair block ("S" = nowhere), `flipped` if it takes the transpose; pairs (first, second)."""
+    """Per edge the `slot` of its pair block (S = nowhere) and if it takes the transpose; per slot (first, second)."""
 
     slot: Int[Array | np.ndarray, " E"]
     flipped: Bool[Array | np.ndarray, " E"]

@@ -6,6 +6,7 @@ for one Cholesky factorisation. The order is found once per graph on the host; a
 arrays, so compilation does not grow with the graph and graphs with equal level sizes share it.
 """
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import jax
@@ -43,21 +44,22 @@ def _paths(left: list[int], neighbours: list[set[int]]) -> list[list[int]]:
     """Maximal runs of poses with at most two neighbours; of a closed ring one pose stays behind."""
     thin = {p for p in left if len(neighbours[p]) <= 2}
     paths, seen = [], set()
-    starts = [p for p in left if p in thin and sum(q in thin for q in neighbours[p]) < 2]
-    for start in [*starts, *(p for p in left if p in thin)]:
-        if start in seen:
-            continue
-        ring = all(q in thin for q in neighbours[start]) and len(neighbours[start]) == 2
-        path, last, here = [], start if ring else -1, start
-        if ring:
-            seen.add(start)
-            here = next(iter(neighbours[start] - seen), -1)
-        while here >= 0 and here not in seen:
+
+    def follow(here):
+        path = []
+        while here is not None:
             seen.add(here)
             path.append(here)
-            last, here = here, next((q for q in neighbours[here] if q in thin and q not in seen), -1)
-        if path:
-            paths.append(path)
+            here = next((q for q in neighbours[here] if q in thin and q not in seen), None)
+        paths.append(path)
+
+    for p in left:
+        if p in thin and p not in seen and sum(q in thin for q in neighbours[p]) < 2:
+            follow(p)
+    for p in left:
+        if p in thin and p not in seen:
+            seen.add(p)
+            follow(next(q for q in neighbours[p] if q not in seen))
     return paths
 
 
@@ -72,7 +74,7 @@ def order(
         for path in _paths(left, neighbours):
             pieces = -(-(len(path) + 1) // segment)
             cuts = np.linspace(-1, len(path), pieces + 1).round().astype(int)
-            segments += [path[x + 1 : y] for x, y in zip(cuts[:-1], cuts[1:], strict=True)]
+            segments += [path[x + 1 : y] for x, y in pairwise(cuts)]
         segments = [s for s in segments if s]
         gone = {p for s in segments for p in s}
         if len(gone) < max(1, len(left) // 20):

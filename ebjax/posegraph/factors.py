@@ -42,13 +42,14 @@ def _quadratic(r, information):
 
 def squared_residuals(graph: PoseGraph, poses: Float[Array, "N P"]) -> Float[Array, " E"]:
     """r^T information r of every edge at `poses`, the squared Mahalanobis distances."""
-    return _quadratic(edge_residual(graph.group, poses[graph.i], poses[graph.j], graph.measured), graph.information)
+    r = edge_residual(graph.group, poses[graph.i], poses[graph.j], jnp.asarray(graph.measured))
+    return _quadratic(r, jnp.asarray(graph.information))
 
 
 def edge_costs(
     graph: PoseGraph, poses: Float[Array, "N P"], kernel: str, width: Float[Array, ""]
 ) -> Float[Array, " E"]:
-    """rho of every robust edge, the squared residual of the others; their sum is the cost that `solve` reports."""
+    """Cost rho(s) of robust edges, s of the others, s = squared residual; the sum is the cost `solve` reports."""
     s = squared_residuals(graph, poses)
     return jnp.where(graph.robust, rho(kernel, s, width), s)
 
@@ -95,7 +96,7 @@ def gauss_newton_blocks(
 
 
 def _slopes(graph, s, kernel, width):
-    """rho' and rho'' of every edge."""
+    """First and second derivative of rho at every edge."""
     return jax.jvp(lambda s: _edge_weight(graph, s, kernel, width), (s,), (jnp.ones_like(s),))
 
 

@@ -6,7 +6,7 @@ loop; `_SparseDescent` assembles the block Hessian once per accepted step and so
 """
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -22,8 +22,21 @@ from ebjax.posegraph.linear import Structure, linear_solve
 
 STATUS = ("converged", "steps used up", "stalled at the largest damping", "not finite")
 _LARGEST_DAMPING = 1e12
-import os
-BENT=float(os.environ.get('BENT','1e-2'))
+_LATE = 1e-4  # predicted relative decrease below which the kernel's curvature enters: earlier it costs rejected steps
+
+
+class _Edges(NamedTuple):
+    """A graph without its poses: what travels through optimistix, which may put other things in place of arrays."""
+
+    i: Array
+    j: Array
+    measured: Array
+    information: Array
+    robust: Array
+    fixed: Array
+
+    def graph(self, poses, group):
+        return PoseGraph(poses, self.i, self.j, self.measured, self.information, self.robust, self.fixed, group)
 
 
 class _SparseDescent(optx.AbstractDescent):
@@ -33,16 +46,16 @@ class _SparseDescent(optx.AbstractDescent):
     tell the search how small its step was.
     """
 
-    edges: tuple
+    edges: _Edges
     structure: Structure
     width: Float[Array, ""]
     group: str = eqx.field(static=True)
     kernel: str = eqx.field(static=True)
 
     def _linearise(self, poses, bent):
-        graph = PoseGraph(poses, *self.edges, self.group)
+        graph = self.edges.graph(poses, self.group)
         blocks = gauss_newton_blocks(graph, poses, self.kernel, self.width, bent)
-        return assemble(graph, self.structure.pattern, blocks, ~graph.fixed)
+        return assemble(graph, self.structure.pattern, blocks, ~self.edges.fixed)
 
     def init(self, y, f_info_struct):
         del f_info_struct
@@ -50,7 +63,7 @@ class _SparseDescent(optx.AbstractDescent):
 
     def query(self, y, f_info, state):
         del state
-        late = (y[1] >= 0) & (y[1] < BENT * f_info.as_min())
+        late = (y[1] >= 0) & (y[1] < _LATE * f_info.as_min())
         return (y, *self._linearise(y[0], late))
 
     def step(self, step_size, state):
@@ -61,7 +74,7 @@ class _SparseDescent(optx.AbstractDescent):
         return (lie.compose(poses, lie.exp(delta)) - poses, predicted - before), optx.RESULTS.successful
 
 
-class _Decrease(optx.AbstractSearch):
+class _Decrease(optx.AbstractSearch[Any, Any, Any, Any]):
     """Accepts what lowers the cost, and steps too small for their decrease to show above rounding.
 
     State: step size = 1 / damping, which moves by factors of ten, and the first cost.
@@ -92,13 +105,18 @@ class _Levenberg(optx.AbstractGaussNewton):
 
     def step(self, fn, y, args, options, state, tags):
         new_y, new, aux = super().step(fn, y, args, options, state, tags)
-        before, after, predicted = state.f_info.as_min(), new.f_info.as_min(), new_y[1]
+        before, after, predicted = _half(state), _half(new), new_y[1]
         accepted = new.num_steps_since_acceptance == 0
         limit = self.rtol * before
         small = accepted & ~state.first_step & (before - after <= limit) & (predicted <= limit)
         stuck = new.search_state[0] < 1 / _LARGEST_DAMPING
         terminate = small | stuck | ~jnp.isfinite(after) | (after == 0)
         return new_y, eqx.tree_at(lambda s: s.terminate, new, terminate), aux
+
+
+def _half(state: Any) -> Array:
+    """Half the cost at the last accepted iterate."""
+    return state.f_info.as_min()
 
 
 @jax.tree_util.register_dataclass
@@ -126,25 +144,26 @@ def minimise(
 ) -> Solution:
     """Runs the loop; `i`, `j` may be traced here. Not differentiable by itself: `adjoint.optimum` is."""
     lie = graph.lie
-    edges = tuple(
-        jnp.asarray(x) for x in (graph.i, graph.j, graph.measured, graph.information, graph.robust, graph.fixed)
-    )
+    parts = (graph.i, graph.j, graph.measured, graph.information, graph.robust, graph.fixed)
+    edges = _Edges(*(jnp.asarray(x) for x in parts))
     start = lie.normalise(jnp.asarray(graph.poses))
 
     def residual(y, args):
         edges, width = args
-        costs = edge_costs(PoseGraph(y[0], *edges, graph.group), y[0], kernel, width)
+        costs = edge_costs(edges.graph(y[0], graph.group), y[0], kernel, width)
         return jax.lax.stop_gradient(jnp.sqrt(costs))
 
     y0 = (start, jnp.full((), -1, start.dtype))
     descent = _SparseDescent(edges, structure, width, graph.group, kernel)
     solver = _Levenberg(rtol, 0.0, optx.max_norm, descent, _Decrease(), lambda **_: None)
-    found = optx.least_squares(residual, solver, y0, (edges, width), max_steps=max_steps + 1, throw=False)
+    found: optx.Solution = optx.least_squares(
+        residual, solver, y0, (edges, width), max_steps=max_steps + 1, throw=False
+    )
     state = found.state
     size, initial = state.search_state
-    cost = 2 * state.f_info.as_min()
+    cost = 2 * _half(state)
     status = jnp.where(state.terminate, 0, 1)
     status = jnp.where(size < 1 / _LARGEST_DAMPING, 2, status)
     status = jnp.where(jnp.isfinite(cost), status, 3)
-    poses = jnp.where(edges[-1][:, None], graph.poses, lie.normalise(found.value[0]))
+    poses = jnp.where(edges.fixed[:, None], graph.poses, lie.normalise(found.value[0]))
     return Solution(poses, cost, 2 * initial, state.num_steps - 1, status)

@@ -1,7 +1,8 @@
 """The front door: `solve(graph)` optimises a pose graph; jit, vmap and differentiate it as you like."""
 
-from dataclasses import replace
+from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -9,8 +10,8 @@ from jaxtyping import Array, Float
 
 from ebjax.posegraph.adjoint import optimum
 from ebjax.posegraph.graph import PoseGraph, check
-from ebjax.posegraph.linear import Structure, analyse
 from ebjax.posegraph.levenberg import Solution
+from ebjax.posegraph.linear import Structure, analyse
 from ebjax.posegraph.robust import KERNELS
 
 
@@ -19,7 +20,7 @@ def solve(
     *,
     kernel: str = "cauchy",
     width: float | Float[Array, ""] = 1.0,
-    max_steps: int = 50,
+    max_steps: int = 200,
     rtol: float = 1e-9,
     solver: str = "auto",
     structure: Structure | None = None,
@@ -27,16 +28,16 @@ def solve(
     """Minimises sum_k rho(r_k^T information_k r_k), r = log(measured^-1 * i_from_j), from `graph.poses`.
 
     The kernel applies to the edges marked `robust`. Where a connected piece of the graph has no fixed pose, its first
-    stays where it is. Poses, cost and gradients keep the dtype of `graph.poses`; float64 needs JAX's x64 mode.
+    stays where it is. Everything has the dtype of `graph.poses`; float64 needs JAX's x64 mode.
     Gradients of `poses` and `cost` with respect to measured, information, width and the fixed poses are exact at
-    convergence (`ebjax.posegraph.adjoint`): use a small `rtol` for them.
+    convergence (`ebjax.posegraph.adjoint`): give them a small `rtol`, 1e-20 say.
 
     Args:
       graph: without edges, or with fewer than two poses, it is returned as it is, cost 0, converged.
       kernel: "none", "cauchy", "huber", "geman-mcclure" or "dcs".
       width: of the kernel, in standard deviations.
       max_steps: steps tried at most, accepted or not.
-      rtol: the loop ends when a step lowers the cost by less than this share.
+      rtol: the loop ends when a step lowers the cost, and promised to lower it, by less than this share.
       solver: "auto", "elimination" or "sparse"; see `ebjax.posegraph.linear.analyse`.
       structure: the result of `analyse(graph)`, needed where `i`, `j` or `fixed` are traced.
 
@@ -47,6 +48,29 @@ def solve(
       ValueError: unknown kernel or solver, wrong shapes, non-finite numbers or an information matrix that is not
         positive definite (both only where the arrays are concrete).
     """
+    return _call(graph, kernel, width, max_steps, rtol, solver, structure, _solve)
+
+
+def compile_solve(graph: PoseGraph, **options: Any) -> Callable[[], Solution]:
+    """Compiles `solve(graph, **options)` without running it, so that the two can be timed apart."""
+    prepared: dict[str, Any] = {
+        "kernel": "cauchy",
+        "width": 1.0,
+        "max_steps": 200,
+        "rtol": 1e-9,
+        "solver": "auto",
+        "structure": None,
+    }
+
+    def compiled(*args, **static):
+        program = _solve.lower(*args, **static).compile()
+        return lambda: program(*args)
+
+    answer = _call(graph, function=compiled, **(prepared | options))
+    return (lambda: answer) if isinstance(answer, Solution) else answer
+
+
+def _call(graph, kernel, width, max_steps, rtol, solver, structure, function):
     if kernel not in KERNELS:
         raise ValueError(f"kernel {kernel!r} is unknown; choose one of {', '.join(KERNELS)}")
     check(graph)
@@ -56,11 +80,14 @@ def solve(
         return Solution(jnp.asarray(graph.poses), zero, zero, none, none)
     if structure is None:
         structure = analyse(graph, solver)
-    graph = replace(graph, fixed=structure.fixed)
-    return _solve(graph, structure, jnp.asarray(width, dtype), kernel=kernel, max_steps=max_steps, rtol=rtol)
+    params = tuple(jnp.asarray(x, dtype) for x in (graph.poses, graph.measured, graph.information, width))
+    rest = (graph.i, graph.j, graph.robust, structure)
+    return function(params, rest, group=graph.group, kernel=kernel, max_steps=max_steps, rtol=rtol)
 
 
-@partial(jax.jit, static_argnames=("kernel", "max_steps", "rtol"))
-def _solve(graph, structure, width, *, kernel, max_steps, rtol):
-    params = tuple(jnp.asarray(x, width.dtype) for x in (graph.poses, graph.measured, graph.information))
-    return optimum(kernel, max_steps, rtol, (*params, width), (graph, structure))
+@partial(jax.jit, static_argnames=("group", "kernel", "max_steps", "rtol"))
+def _solve(params, rest, *, group, kernel, max_steps, rtol):
+    poses, measured, information, _ = params
+    i, j, robust, structure = rest
+    graph = PoseGraph(poses, i, j, measured, information, robust, structure.fixed, group)
+    return optimum(kernel, max_steps, rtol, params, (graph, structure))

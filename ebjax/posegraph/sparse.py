@@ -6,7 +6,7 @@ per sparsity pattern and kept; the numbers alone travel per step.
 
 import threading
 from collections import OrderedDict
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +18,7 @@ from ebjax.posegraph.graph import PoseGraph
 
 
 class SparsePlan(NamedTuple):
-    """Upper triangle of H by columns: `source` picks each stored number out of (diagonal blocks, pair blocks), raveled."""
+    """Upper triangle of H by columns; `source` finds each number in the raveled diagonal blocks, then pair blocks."""
 
     key: Int[np.ndarray, ""]
     source: Int[np.ndarray, " Z"]
@@ -26,7 +26,7 @@ class SparsePlan(NamedTuple):
     indptr: Int[np.ndarray, " C"]
 
 
-_SOLVERS: OrderedDict[int, tuple] = OrderedDict()
+_SOLVERS: OrderedDict[int, Any] = OrderedDict()
 _KEPT = 8
 _LOCK = threading.Lock()
 

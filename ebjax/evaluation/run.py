@@ -1,0 +1,82 @@
+"""Figures of merit of a run with ground truth: trajectory error before and after, errors of the closures, recall. NumPy only."""
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from ebjax.evaluation.trajectory import ate
+
+
+def trajectory_errors(
+    truth: Float[np.ndarray, "N 3"], before: Float[np.ndarray, "N 3"], after: Float[np.ndarray, "N 3"]
+) -> dict[str, Any]:
+    """ATE rmse of odometry and of the corrected path after SE(2) alignment over all frames with truth, m.
+
+    Args:
+      truth: x, y, heading; NaN rows are left out.
+      before: odometry.
+      after: the corrected path.
+    """
+    known = np.isfinite(truth).all(1)
+    if known.sum() < 2:
+        return {}
+    flat = [np.concatenate([path[known, :2], np.zeros((int(known.sum()), 1))], 1) for path in (truth, before, after)]
+    return {
+        "ate_rmse_m": {
+            "before": ate(flat[0], flat[1], "se2")["rmse"],
+            "after": ate(flat[0], flat[2], "se2")["rmse"],
+            "alignment": "SE(2)",
+            "frames": int(known.sum()),
+        }
+    }
+
+
+def closure_errors(
+    truth_i: Float[np.ndarray, "K 3"], truth_j: Float[np.ndarray, "K 3"], measured: Float[np.ndarray, "K 3"]
+) -> Float[np.ndarray, "K 2"]:
+    """Position (m) and heading (rad) of measured against the true i_from_j; NaN where there is no truth."""
+
+    def between(a, b):
+        d = b - a
+        c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
+        return np.stack([c * d[:, 0] + s * d[:, 1], c * d[:, 1] - s * d[:, 0], d[:, 2]], 1)
+
+    error = between(between(truth_i, truth_j), measured)
+    heading = np.abs(np.arctan2(np.sin(error[:, 2]), np.cos(error[:, 2])))
+    return np.stack([np.hypot(error[:, 0], error[:, 1]), heading], 1)
+
+
+def closure_summary(errors: Float[np.ndarray, "K 2"], kept: Bool[np.ndarray, " K"]) -> dict[str, Any]:
+    """How good the kept closures are: the worst and the median, and how many lie within 5 cm and 1 degree."""
+    errors = errors[kept & np.isfinite(errors).all(1)]
+    if not len(errors):
+        return {}
+    right = (errors[:, 0] <= 0.05) & (np.degrees(errors[:, 1]) <= 1.0)
+    return {
+        "closures_against_truth": {
+            "checked": len(errors),
+            "within_5cm_1deg": int(right.sum()),
+            "position_error_m": {"median": float(np.median(errors[:, 0])), "max": float(errors[:, 0].max())},
+            "heading_error_deg": {
+                "median": float(np.degrees(np.median(errors[:, 1]))),
+                "max": float(np.degrees(errors[:, 1].max())),
+            },
+        }
+    }
+
+
+def reason_counts(reasons: list[str]) -> dict[str, int]:
+    """Candidates by reason, the numbers in them left out, most frequent first."""
+    plain = [
+        " ".join(word for word in r.replace(",", "").split() if not any(c.isdigit() for c in word)) for r in reasons
+    ]
+    names, counts = np.unique(plain, return_counts=True) if plain else (np.array([], str), np.array([], int))
+    return {str(names[k]): int(counts[k]) for k in np.argsort(-counts, kind="stable")}
+
+
+def spread_rows(rows: Int[np.ndarray, " K"], count: int) -> Int[np.ndarray, " M"]:
+    """At most `count` of the rows, evenly spread."""
+    if len(rows) <= count:
+        return rows
+    return rows[np.linspace(0, len(rows) - 1, count).round().astype(int)]

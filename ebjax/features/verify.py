@@ -1,0 +1,74 @@
+"""Verification of a loop candidate: matches on the floor, RANSAC, and the pose of one robot in the other's frame.
+
+Everything happens in floor coordinates: with a metric view a rigid motion in metres, i_from_j, is found directly, whatever the
+direction; without one, the homography between the two views. One pair is a pure function of two feature sets; vmap or
+`lax.map` it.
+"""
+
+import dataclasses
+import typing
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, UInt32
+
+from ebjax.features.matching import Features, mutual_nearest
+from ebjax.geometry.ransac import Model, estimate
+
+HYPOTHESES = 512
+
+
+@typing.no_type_check
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Verified:
+    """What two views have in common: point rows that match, which of them agree, and the motion they agree on."""
+
+    query: Int[Array, "*n M"]
+    reference: Int[Array, "*n M"]
+    matched: Bool[Array, "*n M"]
+    inliers: Bool[Array, "*n M"]
+    query_from_reference: Float[Array, "*n 3 3"]
+
+    @property
+    def count(self) -> Int[Array, "*n"]:
+        """Inliers."""
+        return self.inliers.sum(-1)
+
+    @property
+    def total(self) -> Int[Array, "*n"]:
+        """Putative matches."""
+        return self.matched.sum(-1)
+
+
+def verify(
+    query: Features,
+    reference: Features,
+    query_points: Float[Array, "K 2"],
+    reference_points: Float[Array, "K 2"],
+    *,
+    key: PRNGKeyArray | UInt32[Array, "2"],
+    tolerance: float,
+    model: Model = "rigid",
+    keep: int = 200,
+    max_ratio: float = 1.0,
+) -> Verified:
+    """Matches two views and finds the motion that most matches agree on.
+
+    Args:
+      query: features of the later view.
+      reference: features of the earlier view, descriptors turned by pi for an opposing candidate.
+      query_points: the keypoints in floor coordinates (m in base_i, or view px).
+      reference_points: the keypoints in floor coordinates (m in base_j, or view px).
+      key: for RANSAC.
+      tolerance: largest residual of an inlier, in the unit of the points.
+      model: rigid for metric points, similarity or homography otherwise.
+      keep: the most distinctive matches that are used.
+      max_ratio: Lowe's ratio.
+    """
+    matches = mutual_nearest(query, reference, keep=keep, max_ratio=max_ratio)
+    source, target = reference_points[matches.reference], query_points[matches.query]
+    found = estimate(
+        source, target, matches.valid, key=key, model=model, hypotheses=HYPOTHESES, tolerance=tolerance
+    )
+    return Verified(matches.query, matches.reference, matches.valid, found.inliers, found.homography)

@@ -1,0 +1,62 @@
+"""Recall of loop candidates against ground truth, as DESIGN and the paper count it. NumPy only.
+
+A later view counts as a query if an earlier one faces it (headings within 25 degrees of opposite) and looks at the same floor:
+the centres of the two floor views lie within the radius. R@1 is the share of queries whose first candidate is such a view.
+"""
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+FACING_RAD = np.radians(25.0)
+
+
+def facing_pairs(
+    world_from_base: Float[np.ndarray, "N 3"], centre_m: Float[np.ndarray, "2"], radius_m: float
+) -> Bool[np.ndarray, "N N"]:
+    """Which earlier views j (columns) show a later view i (rows) the same floor from the opposite side.
+
+    Args:
+      world_from_base: true x, y (m) and heading (rad); NaN rows pair with nothing.
+      centre_m: of the floor view, in base.
+      radius_m: largest distance of the two centres.
+    """
+    heading = world_from_base[:, 2]
+    c, s = np.cos(heading), np.sin(heading)
+    rotation = np.stack([np.stack([c, -s], -1), np.stack([s, c], -1)], 1)
+    centres = world_from_base[:, :2] + rotation @ centre_m
+    near = np.linalg.norm(centres[:, None] - centres[None, :], axis=-1) <= radius_m
+    turn = heading[:, None] - heading[None, :] - np.pi
+    facing = np.abs(np.arctan2(np.sin(turn), np.cos(turn))) <= FACING_RAD
+    order = np.arange(len(heading))
+    return near & facing & (order[:, None] > order[None, :])
+
+
+def recall_at_1(
+    first: Int[np.ndarray, "N"], opposing: Bool[np.ndarray, "N"], pairs: Bool[np.ndarray, "N N"]
+) -> tuple[float | None, int]:
+    """The share of queries whose first candidate is a true facing view, and the number of queries (None without any).
+
+    Args:
+      first: the first candidate of every view, -1 where there is none.
+      opposing: whether it is claimed as seen from the opposite side.
+      pairs: from `facing_pairs`.
+    """
+    queries = pairs.any(1)
+    if not queries.any():
+        return None, 0
+    right = pairs[np.arange(len(first)), np.maximum(first, 0)] & (first >= 0) & opposing
+    return float(right[queries].mean()), int(queries.sum())
+
+
+def precision_100(score: Float[np.ndarray, "N"], right: Bool[np.ndarray, "N"]) -> float:
+    """P100: the share of all views that can be accepted, best score first, before the first wrong one.
+
+    Args:
+      score: of the first candidate of every later view; -inf where there is none.
+      right: whether that candidate is true.
+    """
+    if not len(score):
+        return 0.0
+    order = np.argsort(-score, kind="stable")
+    wrong = ~right[order]
+    return float((np.argmax(wrong) if wrong.any() else len(score)) / len(score))

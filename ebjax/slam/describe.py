@@ -1,0 +1,109 @@
+"""From an image to everything the run needs of it, one jitted program a frame: floor view, place map, features, 3D points."""
+
+import dataclasses
+import typing
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, UInt8
+
+from ebjax.features.extractor import extractor
+from ebjax.features.matching import Features
+from ebjax.features.measure import lift
+from ebjax.geometry.camera import Camera
+from ebjax.geometry.homography import apply
+from ebjax.geometry.warp import Taps, gather, taps
+from ebjax.places.descriptor_map import dense
+from ebjax.slam.view import RunView
+
+SUPERSAMPLE = 2
+"""Each view pixel averages so many samples a side: near floor is imaged finer than the view and would alias."""
+LUMA = (0.299, 0.587, 0.114)
+
+
+@typing.no_type_check
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Described:
+    """One frame, or with a leading axis many: view (RGB), dense place map, features, their floor points and 3D points."""
+
+    view: UInt8[Array, "*n h w 3"]
+    place_map: Float[Array, "*n r c D"]
+    features: Features
+    floor_points: Float[Array, "*n K 2"]  # in base, m
+    points: Float[Array, "*n K 3"]  # in base, m
+    range_m: Float[Array, "*n K"]  # depth of the 3D points; 0 where there is none
+
+
+def view_taps(view: RunView, camera: Camera) -> Taps:
+    """The samples of the supersampled view in the image, once for the run."""
+    height, width = view.size
+    fine = (SUPERSAMPLE * height, SUPERSAMPLE * width)
+    offset = (1 - SUPERSAMPLE) / (2 * SUPERSAMPLE)
+    view_from_fine = jnp.array([[1 / SUPERSAMPLE, 0, offset], [0, 1 / SUPERSAMPLE, offset], [0, 0, 1]])
+    image_from_fine = view.image_from_view @ view_from_fine.astype(view.image_from_view.dtype)
+    found = taps(image_from_fine.astype(jnp.float32), fine, (camera.height, camera.width))
+    return Taps(found.indices, found.weights.astype(jnp.float32))
+
+
+def floor_view(rgb: UInt8[Array, "H W 3"], samples: Taps) -> Float[Array, "h w 3"]:
+    """The floor from above, in [0, 1], averaged down from the supersampled warp."""
+    fine = gather(rgb, samples)
+    height, width = fine.shape[0] // SUPERSAMPLE, fine.shape[1] // SUPERSAMPLE
+    return fine.reshape(height, SUPERSAMPLE, width, SUPERSAMPLE, 3).mean((1, 3))
+
+
+@partial(jax.jit, static_argnames="extractor_name")
+def describe(
+    rgb: UInt8[Array, "H W 3"],
+    depth_m: Float[Array, "H W"],
+    samples: Taps,
+    view: RunView,
+    camera: Camera,
+    *,
+    extractor_name: str = "rootsift",
+) -> Described:
+    """Describes a frame.
+
+    Args:
+      rgb: the image.
+      depth_m: along the optical axis, 0 = missing (all zero without a depth camera).
+      samples: from `view_taps`.
+      view: the run's floor view.
+      camera: of the run.
+      extractor_name: one of `EXTRACTORS`; one that is not jitted is called on the host by `describe_host`.
+    """
+    colours = floor_view(rgb, samples)
+    grey = colours @ jnp.asarray(LUMA, colours.dtype)
+    place_map, _ = dense(grey, view.seen.astype(grey.dtype))
+    chosen = extractor(extractor_name if extractor(extractor_name).jitted else "rootsift")
+    features = chosen.extract(grey, view.seen)
+    return Described(
+        jnp.round(colours * 255).astype(jnp.uint8),
+        place_map.astype(jnp.float16),
+        *_located(features, depth_m, view, camera),
+    )
+
+
+def _located(features: Features, depth_m, view: RunView, camera: Camera):
+    keypoints = features.keypoints.astype(view.image_from_view.dtype)
+    pixels = apply(view.image_from_view, keypoints)
+    points, range_m = lift(pixels, depth_m.astype(pixels.dtype), camera)
+    return features, apply(view.floor_from_view, keypoints), points, range_m
+
+
+_located_jit = jax.jit(_located)
+
+
+def describe_host(rgb, depth_m, samples: Taps, view: RunView, camera: Camera, extractor_name: str) -> Described:
+    """`describe`, for extractors that run on the host too."""
+    result = describe(rgb, depth_m, samples, view, camera, extractor_name=extractor_name)
+    chosen = extractor(extractor_name)
+    if chosen.jitted:
+        return result
+    import numpy as np
+
+    grey = np.asarray(result.view, np.float32) @ np.asarray(LUMA, np.float32) / 255
+    features = jax.tree.map(jnp.asarray, chosen.extract(grey, np.asarray(view.seen)))
+    return Described(result.view, result.place_map, *_located_jit(features, jnp.asarray(depth_m), view, camera))

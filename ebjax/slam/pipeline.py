@@ -1,0 +1,308 @@
+"""The batch pipeline: frames and odometry in, loop closures and the corrected trajectory out.
+
+    keyframes -> describe -> search -> verify and measure -> select -> pose graph
+
+Numerical only: images come from a `load` function, results go back as arrays; files and figures are the command's part.
+"""
+
+import dataclasses
+import time
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from ebjax.features.extractor import extractor
+from ebjax.features.matching import Features
+from ebjax.features.measure import LoopMeasurement, measure_depth, measure_floor
+from ebjax.features.verify import Verified, verify
+from ebjax.geometry.camera import Camera
+from ebjax.places.descriptor_map import MIN_SUPPORT, dense
+from ebjax.places.retrieve import LoopCandidates, comparable
+from ebjax.places.search import search
+from ebjax.posegraph.graph import PoseGraph, make_graph
+from ebjax.posegraph.levenberg import Solution
+from ebjax.posegraph.lm import solve
+from ebjax.slam.describe import Described, describe_host, view_taps
+from ebjax.slam.select import KEPT, Measured, Odometry, SelectConfig, select
+from ebjax.slam.view import RunView
+
+Load = Callable[[int], tuple[np.ndarray, np.ndarray | None] | None]
+Progress = Callable[[Iterable, int, str], Iterator]
+MIN_DEPTH_INLIERS = 8
+PAIRS_A_CALL = 64
+PREFETCH = 4
+
+
+@dataclasses.dataclass(frozen=True)
+class PipelineConfig:
+    """How loops are searched, verified and used."""
+
+    ranking: Literal["correlation", "cosine"] = "correlation"
+    """Ranking of candidates: shift-maximised correlation of floor maps, or the paper's cosine of global descriptors."""
+    extractor: str = "rootsift"
+    """Local features: rootsift (upright, on corners), sift or orb."""
+    keyframe_m: float = 0.15
+    """A frame is looked at when the robot has moved so far since the last one, m."""
+    keyframe_deg: float = 10.0
+    """... or turned so far, degrees."""
+    min_gap_s: float = 5.0
+    """A view is compared with views at least so much earlier, s."""
+    min_gap_m: float = 4.0
+    """... and, in the same direction, at least so much path earlier, m."""
+    verify: int = 2
+    """Candidates of each view that are verified, the best first."""
+    tolerance_m: float = 0.02
+    """Largest distance of matching points on the floor, m."""
+    kernel: Literal["cauchy", "none", "huber", "geman-mcclure", "dcs"] = "cauchy"
+    """Robust kernel of the loop closures in the pose graph."""
+    kernel_width: float = 1.0
+    """Its width, standard deviations."""
+    seed: int = 0
+    """Of the vocabulary and of RANSAC."""
+    select: SelectConfig = dataclasses.field(default_factory=SelectConfig)
+    odometry: Odometry = dataclasses.field(default_factory=Odometry)
+
+
+@dataclasses.dataclass(frozen=True)
+class Result:
+    """What a run gave. Candidates are rows over `keyframes`; `candidates.i`, `.j` are frame numbers of the sequence.
+
+    Attributes:
+      keyframes: frame numbers that were looked at.
+      described: their views and features.
+      ranked: the retrieval's candidates, rows and columns of `keyframes`.
+      verified: matches of the verified candidates.
+      candidates: verified candidates, measured.
+      by_depth: whether depth measured them (else the metric floor).
+      reasons: of each: "kept", or why not.
+      graph: odometry and the kept closures.
+      solution: its optimum.
+      seconds: of each stage.
+    """
+
+    keyframes: Int[np.ndarray, " N"]
+    described: Described
+    ranked: LoopCandidates
+    verified: Verified
+    candidates: Measured
+    by_depth: Bool[np.ndarray, " K"]
+    reasons: list[str]
+    graph: PoseGraph
+    solution: Solution
+    seconds: dict[str, float]
+
+    @property
+    def kept(self) -> Bool[np.ndarray, " K"]:
+        """Which candidates became loop closures."""
+        return np.array([reason == KEPT for reason in self.reasons], bool)
+
+
+def run(
+    load: Load,
+    timestamps: Float[np.ndarray, " F"],
+    odom_from_base: Float[np.ndarray, "F 3"],
+    camera: Camera,
+    view: RunView,
+    config: PipelineConfig,
+    progress: Progress = lambda items, total, label: iter(items),
+) -> Result:
+    """Runs the pipeline on a whole sequence.
+
+    Args:
+      load: frame number -> (RGB uint8, depth in metres or None); None for a frame that cannot be read.
+      timestamps: s, increasing.
+      odom_from_base: x, y (m) and heading (rad) of every frame.
+      camera: of the run.
+      view: the floor it looks at.
+      config: see there.
+      progress: wraps the long loop.
+
+    Raises:
+      ValueError: fewer than two frames could be read.
+    """
+    seconds: dict[str, float] = {}
+
+    def stage(name: str, start: float) -> None:
+        seconds[name] = time.perf_counter() - start
+
+    start = time.perf_counter()
+    keyframes, described = describe_run(load, odom_from_base, camera, view, config, progress)
+    stage("describe", start)
+
+    start = time.perf_counter()
+    travelled = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(odom_from_base[:, :2], axis=0), axis=1))])
+    allowed = comparable(
+        jnp.asarray(timestamps[keyframes]), jnp.asarray(travelled[keyframes]), config.min_gap_s, config.min_gap_m
+    )
+    _, support = jax.jit(dense)(jnp.zeros(view.size, jnp.float32), view.seen.astype(jnp.float32))
+    ranked = jax.tree.map(
+        np.asarray,
+        search(
+            np.asarray(described.place_map),
+            support,
+            allowed,
+            keep=max(config.verify, 5),
+            ranking=config.ranking,
+            min_support=MIN_SUPPORT,
+            seed=config.seed,
+        ),
+    )
+    stage("search", start)
+
+    start = time.perf_counter()
+    pick = ranked.valid[:, : config.verify]
+    i, j, opposing, distance = (
+        np.asarray(a)[:, : config.verify][pick] for a in (ranked.i, ranked.j, ranked.opposing, ranked.distance)
+    )
+    verified, floor, depth, with_depth = verify_pairs(described, i, j, opposing, config)
+    by_depth = with_depth >= MIN_DEPTH_INLIERS
+    candidates = Measured(
+        keyframes[i],
+        keyframes[j],
+        opposing,
+        distance,
+        np.asarray(verified.inliers).sum(-1),
+        np.asarray(verified.matched).sum(-1),
+        np.where(by_depth[:, None], depth.i_from_j, floor.i_from_j).astype(np.float64),
+        np.where(by_depth[:, None, None], depth.covariance, floor.covariance).astype(np.float64),
+    )
+    stage("verify", start)
+
+    start = time.perf_counter()
+    reasons = select(candidates, odom_from_base, config.odometry, config.select)
+    kept = np.array([reason == KEPT for reason in reasons], bool)
+    stage("select", start)
+
+    start = time.perf_counter()
+    graph = build_graph(odom_from_base, candidates, kept, config.odometry)
+    solution = solve(graph, kernel=config.kernel, width=config.kernel_width, max_steps=100)
+    jax.block_until_ready(solution.poses)
+    stage("pose graph", start)
+    return Result(keyframes, described, ranked, verified, candidates, by_depth, reasons, graph, solution, seconds)
+
+
+def describe_run(
+    load: Load,
+    odom_from_base: Float[np.ndarray, "F 3"],
+    camera: Camera,
+    view: RunView,
+    config: PipelineConfig,
+    progress: Progress,
+) -> tuple[Int[np.ndarray, " N"], Described]:
+    """Describes every keyframe: the next readable frame once the robot has moved or turned enough."""
+    samples = view_taps(view, camera)
+    blank = jnp.zeros((camera.height, camera.width), jnp.float32)
+    extractor(config.extractor)
+    due = candidates_for_keyframes(odom_from_base, config.keyframe_m, config.keyframe_deg)
+    keyframes: list[int] = []
+    rows: list[Any] = []
+    with ThreadPoolExecutor(2) as pool:
+        for frame, images in progress(_prefetched(pool, load, due), len(due), "describing"):
+            if images is None:
+                continue
+            rgb, depth = images
+            one = describe_host(rgb, blank if depth is None else depth, samples, view, camera, config.extractor)
+            rows.append(jax.tree.map(np.asarray, one))
+            keyframes.append(frame)
+    if len(rows) < 2:
+        raise ValueError(f"{len(rows)} of {len(due)} frames could be read; at least two are needed")
+    return np.array(keyframes), jax.tree.map(lambda *leaves: np.stack(leaves), *rows)
+
+
+def candidates_for_keyframes(odom_from_base: Float[np.ndarray, "F 3"], distance_m: float, turn_deg: float) -> list[int]:
+    """Frames at which the robot has moved or turned enough since the last one, the first included."""
+    chosen = [0]
+    for k in range(1, len(odom_from_base)):
+        step = odom_from_base[k] - odom_from_base[chosen[-1]]
+        turn = abs(np.arctan2(np.sin(step[2]), np.cos(step[2])))
+        if np.hypot(step[0], step[1]) >= distance_m or turn >= np.radians(turn_deg):
+            chosen.append(k)
+    return chosen
+
+
+def _prefetched(pool: ThreadPoolExecutor, load: Load, frames: list[int]) -> Iterator[tuple[int, Any]]:
+    """Decodes a few frames ahead of the one being described."""
+    waiting = [pool.submit(load, frame) for frame in frames[:PREFETCH]]
+    for k, frame in enumerate(frames):
+        images = waiting.pop(0).result()
+        if k + PREFETCH < len(frames):
+            waiting.append(pool.submit(load, frames[k + PREFETCH]))
+        yield frame, images
+
+
+def verify_pairs(
+    described: Described,
+    i: Int[np.ndarray, " K"],
+    j: Int[np.ndarray, " K"],
+    opposing: Bool[np.ndarray, " K"],
+    config: PipelineConfig,
+) -> tuple[Verified, LoopMeasurement, LoopMeasurement, Int[np.ndarray, " K"]]:
+    """Verifies and measures pairs of keyframes: by the metric floor, by depth, and how many inliers have depth."""
+    turn = extractor(config.extractor).turn
+
+    @jax.jit
+    def block(query: Described, reference: Described, opposing, keys):
+        def one(args):
+            ours, theirs, facing, key = args
+            turned = jnp.where(facing, turn(theirs.features.descriptors), theirs.features.descriptors)
+            seen = Features(theirs.features.keypoints, turned, theirs.features.valid)
+            found = verify(
+                ours.features,
+                seen,
+                ours.floor_points,
+                theirs.floor_points,
+                key=key,
+                tolerance=config.tolerance_m,
+            )
+            q, r = found.query, found.reference
+            floor = measure_floor(ours.floor_points[q], theirs.floor_points[r], found.inliers)
+            deep = found.inliers & (ours.range_m[q] > 0) & (theirs.range_m[r] > 0)
+            range_m = jnp.maximum(ours.range_m[q], theirs.range_m[r])
+            depth = measure_depth(ours.points[q], theirs.points[r], deep, range_m)
+            return found, floor, depth, deep.sum()
+
+        return jax.lax.map(one, (query, reference, opposing, keys))
+
+    def take(rows):
+        light = dataclasses.replace(described, view=described.view[:, :1, :1], place_map=described.place_map[:, :1, :1])
+        return jax.tree.map(lambda leaf: leaf[rows], light)
+
+    keys = jax.random.split(jax.random.key(config.seed), max(len(i), 1))
+    results = []
+    for start in range(0, max(len(i), 1), PAIRS_A_CALL):
+        rows = np.arange(start, start + PAIRS_A_CALL) % max(len(i), 1)  # the last block is filled up: one shape
+        a, b = (i[rows], j[rows]) if len(i) else (np.zeros(PAIRS_A_CALL, int),) * 2
+        facing = opposing[rows] if len(i) else np.zeros(PAIRS_A_CALL, bool)
+        results.append(jax.tree.map(np.asarray, block(take(a), take(b), jnp.asarray(facing), keys[rows])))
+    joined = jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(i)], *results)
+    return joined
+
+
+def build_graph(
+    odom_from_base: Float[np.ndarray, "F 3"],
+    candidates: Measured,
+    kept: Bool[np.ndarray, " K"],
+    odometry: Odometry,
+) -> PoseGraph:
+    """Odometry from frame to frame and the kept closures; the robust kernel applies to closures only."""
+    frames = len(odom_from_base)
+    heading = odom_from_base[:-1, 2]
+    step = np.diff(odom_from_base, axis=0)
+    c, s = np.cos(heading), np.sin(heading)
+    local = np.stack([c * step[:, 0] + s * step[:, 1], c * step[:, 1] - s * step[:, 0], step[:, 2]], 1)
+    steps = odometry.step_sigmas(odom_from_base)
+    chain = np.einsum("na,ab->nab", steps**-2.0, np.eye(3))
+    rows = np.arange(frames - 1)
+    return make_graph(
+        odom_from_base.astype(np.float64),
+        np.concatenate([rows, candidates.i[kept]]),
+        np.concatenate([rows + 1, candidates.j[kept]]),
+        np.concatenate([local, candidates.i_from_j[kept]]).astype(np.float64),
+        np.concatenate([chain, np.linalg.inv(candidates.covariance[kept])]).astype(np.float64),
+        robust=np.concatenate([np.zeros(frames - 1, bool), np.ones(int(kept.sum()), bool)]),
+    )

@@ -1,0 +1,183 @@
+"""Which measured candidates become loop closures, and why the others do not.
+
+In order: enough agreeing matches; a measurement that is certain enough; agreement with the odometry walked in between; the
+largest set that agrees with itself (pairwise consistency); then the best of each stretch of path, or the best `top` spread along it.
+Every candidate leaves with one reason.
+"""
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from ebjax.posegraph.consistency import consistent_set
+
+KEPT = "kept"
+
+
+@dataclasses.dataclass(frozen=True)
+class SelectConfig:
+    """When a measured candidate is believed."""
+
+    min_inliers: int = 20
+    """Matches that agree on one motion, at least."""
+    min_inlier_ratio: float = 0.4
+    """Share of the matches that agree, at least: repeated tiles make many matches agree on a wrong motion, but not most."""
+    max_sigma_m: float = 0.03
+    """Largest standard deviation of the measured position, m."""
+    max_sigma_deg: float = 0.5
+    """Largest standard deviation of the measured heading, degrees."""
+    odometry_sigmas: float = 4.0
+    """How far a closure may contradict the odometry between its ends, in that odometry's standard deviations."""
+    spacing_m: float = 0.4
+    """One closure at most for so much path, the one with most agreeing matches."""
+    top: int = 0
+    """Keep only so many closures, spread along the path, as the paper's 20; 0 keeps all."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Odometry:
+    """How wheel odometry errs: what one step's standard deviation is made of."""
+
+    translation: float = 0.03
+    """Per metre travelled, along and across."""
+    heading_deg_per_sqrt_m: float = 2.0
+    """Random walk of the heading, degrees per square root of a metre."""
+    turning: float = 0.03
+    """Of the heading, per radian turned."""
+
+    def step_sigmas(self, odom_from_base: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "M 3"]:
+        """Standard deviation (x m, y m, heading rad) of each of the N - 1 steps, in the step's own frame."""
+        step = np.diff(odom_from_base, axis=0)
+        distance = np.linalg.norm(step[:, :2], axis=1)
+        turned = np.abs(np.arctan2(np.sin(step[:, 2]), np.cos(step[:, 2])))
+        along = self.translation * distance + 1e-3
+        heading = np.hypot(
+            np.radians(self.heading_deg_per_sqrt_m) * np.sqrt(distance), self.turning * turned
+        ) + np.radians(0.02)
+        return np.stack([along, along, heading], 1)
+
+
+@dataclasses.dataclass(frozen=True)
+class Measured:
+    """Measured candidates, one a row: frames i > j, direction, distance of the descriptors, matches, motion."""
+
+    i: Int[np.ndarray, " K"]
+    j: Int[np.ndarray, " K"]
+    opposing: Bool[np.ndarray, " K"]
+    distance: Float[np.ndarray, " K"]
+    inliers: Int[np.ndarray, " K"]
+    total: Int[np.ndarray, " K"]
+    i_from_j: Float[np.ndarray, "K 3"]
+    covariance: Float[np.ndarray, "K 3 3"]
+
+
+def select(
+    candidates: Measured,
+    odom_from_base: Float[np.ndarray, "N 3"],
+    odometry: Odometry,
+    config: SelectConfig,
+) -> list[str]:
+    """Returns the reason of every candidate: "kept", or why it was left out."""
+    count = len(candidates.i)
+    reasons = np.full(count, "", object)
+
+    def reject(rows, why):
+        for k in np.flatnonzero(rows):
+            if not reasons[k]:
+                reasons[k] = why(k) if callable(why) else why
+
+    ratio = candidates.inliers / np.maximum(candidates.total, 1)
+    reject(
+        candidates.inliers < config.min_inliers,
+        lambda k: f"{candidates.inliers[k]} inliers, fewer than {config.min_inliers}",
+    )
+    reject(
+        ratio < config.min_inlier_ratio,
+        lambda k: f"inlier ratio {ratio[k]:.2f}, below {config.min_inlier_ratio:g}",
+    )
+    sigma = np.sqrt(np.maximum(np.diagonal(candidates.covariance, axis1=1, axis2=2), 0))
+    reject(~np.isfinite(candidates.i_from_j).all(1) | ~np.isfinite(sigma).all(1), "no measurement: too little depth")
+    reject(
+        (sigma[:, :2].max(1, initial=0) > config.max_sigma_m) | (np.degrees(sigma[:, 2]) > config.max_sigma_deg),
+        lambda k: f"uncertain: {sigma[k, :2].max():.3f} m, {np.degrees(sigma[k, 2]):.2f} deg",
+    )
+    steps = odometry.step_sigmas(odom_from_base)
+    contradiction = odometry_distance(candidates, odom_from_base, steps)
+    reject(
+        contradiction > config.odometry_sigmas,
+        lambda k: f"contradicts odometry by {contradiction[k]:.1f} sigma",
+    )
+    alive = np.flatnonzero(reasons == "")
+    # Before the exact search, thin out: neighbours on the path say the same thing, and the search grows with their number.
+    travelled = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(odom_from_base[:, :2], axis=0), axis=1))])
+    quality = candidates.inliers * ratio
+    chosen = best_per_stretch(travelled[candidates.i[alive]], quality[alive], config.spacing_m)
+    reject(np.isin(np.arange(count), alive[~chosen]), "a better closure is near on the path")
+    alive = alive[chosen]
+    agreed = consistent_set(
+        odom_from_base,
+        steps,
+        candidates.i[alive],
+        candidates.j[alive],
+        candidates.i_from_j[alive],
+        candidates.covariance[alive],
+        quality[alive].astype(float),
+    )
+    reject(np.isin(np.arange(count), alive[~agreed]), "contradicts the other closures")
+    alive = alive[agreed]
+    if config.top and len(alive) > config.top:
+        spread = spread_along(travelled[candidates.i[alive]], quality[alive], config.top)
+        reject(np.isin(np.arange(count), alive[~spread]), f"not among the best {config.top} spread along the path")
+        alive = alive[spread]
+    reasons[alive] = KEPT
+    return [str(reason) for reason in reasons]
+
+
+def odometry_distance(
+    candidates: Measured, odom_from_base: Float[np.ndarray, "N 3"], steps: Float[np.ndarray, "M 3"]
+) -> Float[np.ndarray, " K"]:
+    """How many standard deviations of the odometry between them the measured i_from_j is away from it.
+
+    Position only, with a circular bound: translation errors add up, and a heading error swings all the path behind it.
+    """
+    i, j = candidates.i, candidates.j
+    pose_i, pose_j = odom_from_base[i], odom_from_base[j]
+    c, s = np.cos(pose_i[:, 2]), np.sin(pose_i[:, 2])
+    x, y = candidates.i_from_j[:, 0], candidates.i_from_j[:, 1]
+    claimed = pose_i[:, :2] + np.stack([c * x - s * y, s * x + c * y], 1)
+    gap = np.linalg.norm(claimed - pose_j[:, :2], axis=1)
+    spread = np.zeros(len(i))
+    for k, (a, b) in enumerate(zip(j, i, strict=True)):
+        lever = np.linalg.norm(odom_from_base[a + 1 : b + 1, :2] - pose_j[k, :2], axis=1)
+        # In the frame of j: each step's heading error swings what comes after it; the far end is i.
+        swing = np.linalg.norm(odom_from_base[a + 1 : b + 1, :2] - pose_i[k, :2], axis=1)
+        variance = np.sum(steps[a:b, 0] ** 2) + np.sum((steps[a:b, 2] * np.maximum(swing, lever)) ** 2)
+        spread[k] = np.sqrt(variance + np.trace(candidates.covariance[k][:2, :2]))
+    return gap / np.maximum(spread, 1e-6)
+
+
+def best_per_stretch(
+    place: Float[np.ndarray, " K"], quality: Float[np.ndarray, " K"], spacing: float
+) -> Bool[np.ndarray, " K"]:
+    """Greedy: the best first, then every next one at least `spacing` from all chosen."""
+    chosen = np.zeros(len(place), bool)
+    for k in np.argsort(-quality, kind="stable"):
+        if not (np.abs(place[chosen] - place[k]) < spacing).any():
+            chosen[k] = True
+    return chosen
+
+
+def spread_along(place: Float[np.ndarray, " K"], quality: Float[np.ndarray, " K"], top: int) -> Bool[np.ndarray, " K"]:
+    """The best of each of `top` equal stretches of path, the free places filled with the best that are left."""
+    edges = np.linspace(place.min(), place.max() + 1e-9, top + 1)
+    stretch = np.searchsorted(edges, place, side="right") - 1
+    chosen = np.zeros(len(place), bool)
+    order = np.argsort(-quality, kind="stable")
+    for k in order:
+        chosen[k] = not chosen[stretch == stretch[k]].any()
+    for k in order:
+        if chosen.sum() >= top:
+            break
+        chosen[k] = True
+    return chosen

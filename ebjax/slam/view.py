@@ -1,0 +1,104 @@
+"""Which part of the floor a run looks at: the floor view of its camera, chosen from the geometry or given by four points.
+
+The view is metric either way: its pixels map to the floor in base by `floor_from_view`. With `from_camera` that is a scale; with
+`from_quad` (the paper's way) the image of the view is what the four points say, and the camera only says where it lies.
+"""
+
+import dataclasses
+import typing
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from ebjax.geometry.camera import Camera, FloorView, field_of_view, image_from_floor, image_from_view
+from ebjax.geometry.homography import from_four_points, orient
+
+MAX_GROUND_SAMPLE_M = 0.025
+"""Farther floor, where one image pixel covers more than this along the view, adds blur and no detail."""
+MAX_LENGTH_M = 2.0
+MIN_LENGTH_M = 0.4
+QUAD_PX = 200
+
+
+@typing.no_type_check
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class RunView:
+    """The floor view of a run: view pixel -> image pixel, view pixel -> floor in base (m), and what the camera sees of it."""
+
+    image_from_view: Float[Array, "3 3"]
+    floor_from_view: Float[Array, "3 3"]
+    seen: Bool[Array, "h w"]
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(height, width), px."""
+        return self.seen.shape[0], self.seen.shape[1]
+
+    @property
+    def centre_m(self) -> Float[np.ndarray, "2"]:
+        """The centre of the view on the floor in base, m."""
+        height, width = self.size
+        x, y, w = np.asarray(self.floor_from_view) @ np.array([(width - 1) / 2, (height - 1) / 2, 1.0])
+        return np.array([x / w, y / w])
+
+
+def choose_floor(camera: Camera, metres_per_px: float) -> FloorView:
+    """The rectangle ahead that the camera sees well: from the nearest visible floor, at most 2 m, as wide as long.
+
+    Raises:
+      ValueError: the camera sees too little floor.
+    """
+    x = np.arange(0.02, 12.0, 0.01)
+    points = np.stack([x, np.zeros_like(x), np.ones_like(x)])
+    u, v, depth = np.asarray(image_from_floor(camera)) @ points
+    u, v = u / np.where(depth > 0, depth, np.nan), v / np.where(depth > 0, depth, np.nan)
+    inside = (depth > 0.05) & (u >= 0) & (u <= camera.width - 1) & (v >= 0) & (v <= camera.height - 1)
+    sample = np.abs(np.gradient(x) / np.gradient(np.where(inside, v, np.nan)))
+    good = inside & (sample <= MAX_GROUND_SAMPLE_M)
+    if not good.any():
+        raise ValueError(
+            "the camera sees no floor ahead of it closely enough; check T_base_camera (height, pitch) and fx, fy"
+        )
+    first = int(np.argmax(good))
+    last = first + int(np.argmin(np.append(good[first:], False))) - 1
+    near = float(x[first])
+    length = min(MAX_LENGTH_M, float(x[last]) - near)
+    if length < MIN_LENGTH_M:
+        raise ValueError(
+            f"the camera sees only {length:.2f} m of floor closely enough, at least {MIN_LENGTH_M} m are needed; "
+            "check T_base_camera (height, pitch) and fx, fy, or tilt the camera down"
+        )
+    return FloorView(near, near + length, -length / 2, length / 2, metres_per_px)
+
+
+def from_camera(camera: Camera, floor: FloorView) -> RunView:
+    """The metric view of a rectangle of floor (m, in base)."""
+    homography = image_from_view(camera, floor)
+    seen = field_of_view(homography, floor.size, (camera.height, camera.width), 1.0)
+    return RunView(homography, jnp.asarray(floor.floor_from_view, homography.dtype), seen)
+
+
+def from_quad(
+    camera: Camera, quad: Float[np.ndarray, "4 2"], margin: float, size: tuple[int, int] = (QUAD_PX, QUAD_PX)
+) -> RunView:
+    """The view that four image points span (Early Bird, section III-A): far left, far right, near right, near left.
+
+    Args:
+      camera: says where the points lie on the floor.
+      quad: (x, y) px in the image.
+      margin: how far the view reaches beyond the quad, as a share of its sides, on every side.
+      size: (height, width) of the view, px.
+    """
+    height, width = size
+    inner = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float64)
+    corners = (inner + margin) / (1 + 2 * margin) * np.array([width - 1, height - 1])
+    homography = from_four_points(
+        jnp.asarray(corners), jnp.asarray(quad, jnp.float64 if jax.config.jax_enable_x64 else jnp.float32)
+    )
+    homography = orient(homography, corners.mean(0))
+    seen = field_of_view(homography, size, (camera.height, camera.width), 1.0)
+    floor_from_image = jnp.linalg.inv(jnp.asarray(image_from_floor(camera), homography.dtype))
+    return RunView(homography, floor_from_image @ homography, seen)

@@ -1,0 +1,119 @@
+import jax
+import jax.numpy as jnp
+import jaxlie
+import numpy as np
+import pytest
+import scipy.linalg
+
+from ebjax.geometry import lie
+
+ANGLES = [0.0, 1e-12, 1e-9, 3e-5, 1e-3, 0.1, 0.99, 1.01, 2.0, 3.0, np.pi - 1e-6]
+
+
+def tangents(group, angle, count=4):
+    rng = np.random.default_rng(0)
+    dim = lie.GROUPS[group].dim
+    xi = rng.normal(size=(count, dim))
+    spin = xi[:, 2:] if group == "se2" else xi[:, 3:]
+    spin *= angle / np.linalg.norm(spin, axis=1, keepdims=True)
+    return jnp.asarray(xi)
+
+
+def matrix(group, pose):
+    if group == "se2":
+        c, s = np.cos(pose[2]), np.sin(pose[2])
+        return np.array([[c, -s, pose[0]], [s, c, pose[1]], [0, 0, 1]])
+    return np.asarray(jaxlie.SE3(pose).as_matrix())
+
+
+def generator(group, xi):
+    if group == "se2":
+        return np.array([[0, -xi[2], xi[0]], [xi[2], 0, xi[1]], [0, 0, 0]])
+    out = np.zeros((4, 4))
+    out[:3, :3] = np.cross(np.eye(3), np.asarray(xi[3:]))
+    out[:3, 3] = xi[:3]
+    return out
+
+
+@pytest.mark.parametrize("group", ["se2", "se3"])
+@pytest.mark.parametrize("angle", ANGLES)
+def test_exp_is_the_matrix_exponential_and_log_inverts_it(group, angle):
+    xi = tangents(group, angle)
+    pose = lie.GROUPS[group].exp(xi)
+    for row, tangent in zip(pose, xi, strict=True):
+        np.testing.assert_allclose(matrix(group, row), scipy.linalg.expm(generator(group, tangent)), atol=2e-14)
+    np.testing.assert_allclose(lie.GROUPS[group].log(pose), xi, atol=1e-12)
+
+
+@pytest.mark.parametrize("group", ["se2", "se3"])
+@pytest.mark.parametrize("angle", ANGLES)
+def test_log_jacobian_is_the_derivative_of_the_log(group, angle):
+    g, xi = lie.GROUPS[group], tangents(group, angle)
+    jacobian = jax.vmap(jax.jacfwd(lambda d, x: g.log(g.compose(g.exp(x), g.exp(d)))))(jnp.zeros_like(xi), xi)
+    np.testing.assert_allclose(jacobian, g.log_jacobian(xi), atol=1e-12)
+    backwards = jax.vmap(jax.jacrev(lambda d, x: g.log(g.compose(g.exp(x), g.exp(d)))))(jnp.zeros_like(xi), xi)
+    np.testing.assert_allclose(backwards, g.log_jacobian(xi), atol=1e-12)
+
+
+@pytest.mark.parametrize("group", ["se2", "se3"])
+@pytest.mark.parametrize("angle", [0.0, 1e-12, 3e-5, 1e-3, 0.5, 0.999, 2.0, 3.0])
+def test_second_derivatives_hold_at_every_angle(group, angle):
+    g, xi = lie.GROUPS[group], tangents(group, angle, 1)[0]
+    through = lambda d: g.log(g.compose(g.exp(xi), g.exp(d)))  # noqa: E731
+    hessian = jax.jacfwd(jax.jacrev(through))(jnp.zeros(g.dim))
+    h = 1e-5
+    for k in range(g.dim):
+        step = jnp.zeros(g.dim).at[k].set(h)
+        central = (jax.jacfwd(through)(step) - jax.jacfwd(through)(-step)) / (2 * h)
+        np.testing.assert_allclose(hessian[:, :, k], central, atol=2e-9)
+
+
+def test_se2_log_has_its_known_second_derivatives_at_zero():
+    hessian = jax.hessian(lie.se2_log)(jnp.array([0.7, -0.4, 0.0]))
+    assert hessian[0, 2, 2] == pytest.approx(-0.7 / 6, abs=1e-14)  # the cotangent's first term, theta^2 / 12
+    assert hessian[0, 1, 2] == pytest.approx(0.5, abs=1e-14)
+
+
+@pytest.mark.parametrize("group", ["se2", "se3"])
+def test_group_axioms_and_adjoint(group):
+    g = lie.GROUPS[group]
+    a, b, c = (g.exp(tangents(group, t)) for t in (0.3, 1.7, 2.9))
+    identity = jnp.broadcast_to(jnp.asarray(g.identity), a.shape)
+    close = lambda x, y: np.testing.assert_allclose(g.log(g.compose(g.inverse(x), y)), 0, atol=1e-12)  # noqa: E731
+    close(g.compose(a, g.compose(b, c)), g.compose(g.compose(a, b), c))
+    close(g.compose(g.inverse(a), a), identity)
+    d = tangents(group, 0.2)
+    carried = jnp.einsum("nij,nj->ni", g.adjoint(a), d)
+    close(g.compose(a, g.exp(d)), g.compose(g.exp(carried), a))
+
+
+@pytest.mark.parametrize("group", ["se2", "se3"])
+def test_bracket_is_the_commutator_of_generators(group):
+    g = lie.GROUPS[group]
+    basis = np.array([generator(group, e) for e in np.eye(g.dim)])
+    for k in range(g.dim):
+        for m in range(g.dim):
+            commutator = basis[k] @ basis[m] - basis[m] @ basis[k]
+            np.testing.assert_allclose(np.tensordot(g.bracket[k, m], basis, 1), commutator, atol=1e-15)
+
+
+def test_se3_agrees_with_jaxlie():
+    a, b = lie.se3_exp(tangents("se3", 0.4)), lie.se3_exp(tangents("se3", 1.1))
+    for x, y, mine in zip(a, b, lie.se3_compose(a, b), strict=True):
+        np.testing.assert_allclose((jaxlie.SE3(x) @ jaxlie.SE3(y)).wxyz_xyz, mine, atol=1e-14)
+
+
+@pytest.mark.parametrize("group", ["se2", "se3"])
+@pytest.mark.parametrize("angle", ANGLES)
+def test_float32_stays_float32_and_accurate(group, angle):
+    g, xi = lie.GROUPS[group], tangents(group, min(angle, 3.1))
+    small = xi.astype(jnp.float32)
+    for function in (g.exp, g.log_jacobian, lambda x: g.log(g.exp(x))):
+        out = function(small)
+        assert out.dtype == jnp.float32
+        np.testing.assert_allclose(out, function(small.astype(jnp.float64)), atol=2e-5)
+
+
+def test_a_quaternion_and_its_negative_have_one_log():
+    pose = lie.se3_exp(tangents("se3", 2.5))
+    np.testing.assert_allclose(lie.se3_log(pose.at[:, :4].multiply(-1)), lie.se3_log(pose), atol=1e-14)
