@@ -11,6 +11,7 @@ are exact to rounding for theta <= pi, and so are all derivatives.
 from collections.abc import Callable
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -29,6 +30,9 @@ _REST = (
     1.2728430480242665e-25,
     2.0014589986788564e-28,
 )
+
+
+_once = jax.lax.optimization_barrier  # chains of these functions would fuse by computing each anew for every reader
 
 
 def _cot(s):
@@ -70,18 +74,18 @@ def wrap_angle(theta_rad: Float[Array, "*b"]) -> Float[Array, "*b"]:
 
 def _rotate2(theta, xy):
     c, s = jnp.cos(theta), jnp.sin(theta)
-    return jnp.stack([c * xy[..., 0] - s * xy[..., 1], s * xy[..., 0] + c * xy[..., 1]], -1)
+    return _once(jnp.stack([c * xy[..., 0] - s * xy[..., 1], s * xy[..., 0] + c * xy[..., 1]], -1))
 
 
 def se2_compose(a_from_b: Float[Array, "*b 3"], b_from_c: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
     """a_from_c = a_from_b * b_from_c; the angle is wrapped."""
     xy = a_from_b[..., :2] + _rotate2(a_from_b[..., 2], b_from_c[..., :2])
-    return jnp.concatenate([xy, wrap_angle(a_from_b[..., 2:] + b_from_c[..., 2:])], -1)
+    return _once(jnp.concatenate([xy, wrap_angle(a_from_b[..., 2:] + b_from_c[..., 2:])], -1))
 
 
 def se2_inverse(a_from_b: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
     """b_from_a."""
-    return jnp.concatenate([-_rotate2(-a_from_b[..., 2], a_from_b[..., :2]), -a_from_b[..., 2:]], -1)
+    return _once(jnp.concatenate([-_rotate2(-a_from_b[..., 2], a_from_b[..., :2]), -a_from_b[..., 2:]], -1))
 
 
 def se2_exp(tangent: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
@@ -89,7 +93,7 @@ def se2_exp(tangent: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
     theta = tangent[..., 2]
     sinc, cosc, _ = _trig(theta * theta)
     x, y, u = tangent[..., 0], tangent[..., 1], cosc * theta
-    return jnp.stack([sinc * x - u * y, u * x + sinc * y, theta], -1)
+    return _once(jnp.stack([sinc * x - u * y, u * x + sinc * y, theta], -1))
 
 
 def se2_log(pose: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
@@ -97,11 +101,11 @@ def se2_log(pose: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
     theta = wrap_angle(pose[..., 2])
     half, c = theta / 2, 1 - theta * theta * _cot(theta * theta)[0]
     x, y = pose[..., 0], pose[..., 1]
-    return jnp.stack([c * x + half * y, c * y - half * x, theta], -1)
+    return _once(jnp.stack([c * x + half * y, c * y - half * x, theta], -1))
 
 
 def _rows(*rows):
-    return jnp.stack([jnp.stack(r, -1) for r in rows], -2)
+    return _once(jnp.stack([jnp.stack(r, -1) for r in rows], -2))
 
 
 def se2_adjoint(pose: Float[Array, "*b 3"]) -> Float[Array, "*b 3 3"]:
@@ -124,7 +128,7 @@ def quaternion_multiply(a: Float[Array, "*b 4"], b: Float[Array, "*b 4"]) -> Flo
     """Hamilton product, wxyz."""
     aw, ax, ay, az = (a[..., k] for k in range(4))
     bw, bx, by, bz = (b[..., k] for k in range(4))
-    return jnp.stack(
+    rows = jnp.stack(
         [
             aw * bw - ax * bx - ay * by - az * bz,
             aw * bx + ax * bw + ay * bz - az * by,
@@ -133,6 +137,7 @@ def quaternion_multiply(a: Float[Array, "*b 4"], b: Float[Array, "*b 4"]) -> Flo
         ],
         -1,
     )
+    return _once(rows)
 
 
 def _rotate3(q, v):
@@ -141,19 +146,19 @@ def _rotate3(q, v):
 
 
 def _conjugate(q):
-    return jnp.concatenate([q[..., :1], -q[..., 1:]], -1)
+    return _once(jnp.concatenate([q[..., :1], -q[..., 1:]], -1))
 
 
 def se3_compose(a_from_b: Float[Array, "*b 7"], b_from_c: Float[Array, "*b 7"]) -> Float[Array, "*b 7"]:
     """a_from_c = a_from_b * b_from_c."""
     q = quaternion_multiply(a_from_b[..., :4], b_from_c[..., :4])
-    return jnp.concatenate([q, a_from_b[..., 4:] + _rotate3(a_from_b[..., :4], b_from_c[..., 4:])], -1)
+    return _once(jnp.concatenate([q, a_from_b[..., 4:] + _rotate3(a_from_b[..., :4], b_from_c[..., 4:])], -1))
 
 
 def se3_inverse(a_from_b: Float[Array, "*b 7"]) -> Float[Array, "*b 7"]:
     """b_from_a."""
     q = _conjugate(a_from_b[..., :4])
-    return jnp.concatenate([q, -_rotate3(q, a_from_b[..., 4:])], -1)
+    return _once(jnp.concatenate([q, -_rotate3(q, a_from_b[..., 4:])], -1))
 
 
 def se3_exp(tangent: Float[Array, "*b 6"]) -> Float[Array, "*b 7"]:
@@ -163,7 +168,9 @@ def se3_exp(tangent: Float[Array, "*b 6"]) -> Float[Array, "*b 7"]:
     _, cosc, cubic = _trig(s)
     half_sinc, half_cosc, _ = _trig(s / 4)
     wv = jnp.cross(w, v)
-    return jnp.concatenate([1 - s / 4 * half_cosc, half_sinc / 2 * w, v + cosc * wv + cubic * jnp.cross(w, wv)], -1)
+    return _once(
+        jnp.concatenate([1 - s / 4 * half_cosc, half_sinc / 2 * w, v + cosc * wv + cubic * jnp.cross(w, wv)], -1)
+    )
 
 
 def _so3_log(q):
@@ -185,7 +192,7 @@ def se3_log(pose: Float[Array, "*b 7"]) -> Float[Array, "*b 6"]:
     w, t = _so3_log(pose[..., :4]), pose[..., 4:]
     k = _cot(jnp.sum(w * w, -1, keepdims=True))[0]
     wt = jnp.cross(w, t)
-    return jnp.concatenate([t - wt / 2 + k * jnp.cross(w, wt), w], -1)
+    return _once(jnp.concatenate([t - wt / 2 + k * jnp.cross(w, wt), w], -1))
 
 
 def small_matmul(a: Float[Array, "*b m k"], b: Float[Array, "*b k n"]) -> Float[Array, "*b m n"]:
@@ -212,7 +219,7 @@ def se3_rotation(pose: Float[Array, "*b 7"]) -> Float[Array, "*b 3 3"]:
 def _upper(diagonal, corner):
     zero = jnp.zeros_like(diagonal)
     top = jnp.concatenate([diagonal, corner], -1)
-    return jnp.concatenate([top, jnp.concatenate([zero, diagonal], -1)], -2)
+    return _once(jnp.concatenate([top, jnp.concatenate([zero, diagonal], -1)], -2))
 
 
 def se3_adjoint(pose: Float[Array, "*b 7"]) -> Float[Array, "*b 6 6"]:
@@ -253,12 +260,12 @@ class Group(NamedTuple):
 
 
 def _se2_normalise(pose):
-    return jnp.concatenate([pose[..., :2], wrap_angle(pose[..., 2:])], -1)
+    return _once(jnp.concatenate([pose[..., :2], wrap_angle(pose[..., 2:])], -1))
 
 
 def _se3_normalise(pose):
     q = pose[..., :4] / jnp.linalg.norm(pose[..., :4], axis=-1, keepdims=True)
-    return jnp.concatenate([q, pose[..., 4:]], -1)
+    return _once(jnp.concatenate([q, pose[..., 4:]], -1))
 
 
 def _bracket2():

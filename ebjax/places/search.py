@@ -7,7 +7,7 @@ is the paper's plain single-vector cosine.
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from ebjax.places.correlation import spectrum
 from ebjax.places.descriptor_map import MapSpace, learn_space, project, rotate_pi_map
@@ -16,7 +16,8 @@ from ebjax.places.vlad import kmeans, vlad
 
 CHANNELS = 32
 CLUSTERS = 32
-SHORTLIST = 40
+SHORTLIST = 20
+"""Views of each direction that are correlated with a query."""
 SAMPLE_VIEWS = 256
 SAMPLE_CELLS = 30_000
 BLOCK = 256
@@ -46,23 +47,36 @@ def global_descriptors(maps: Float[Array, "N r c D"], space: MapSpace, *, seed: 
     return vectors / jnp.maximum(jnp.linalg.norm(vectors, axis=1, keepdims=True), 1e-9)
 
 
+def shortlist(
+    vectors: Float[Array, "N V 2"], allowed: Bool[Array, "N N 2"], count: int
+) -> tuple[Float[Array, "N k"], Int[Array, "N k"], Bool[Array, "N k"]]:
+    """The best `count` of each direction by cosine, merged, best first: neither direction crowds the other out."""
+    views = vectors.shape[0]
+    ways = [
+        cosine_top_k(vectors[..., 0], vectors, allowed & (jnp.arange(2) == way)[None, None, :], k=min(count, views))
+        for way in (0, 1)
+    ]
+    cosine, j, opposing = (jnp.concatenate(parts, 1) for parts in zip(*ways, strict=True))
+    order = jnp.argsort(-cosine, axis=1)
+    cosine, j, opposing = (jnp.take_along_axis(values, order, axis=1) for values in (cosine, j, opposing))
+    return cosine, j, opposing
+
+
 def search(
     dense_maps: Float[np.ndarray, "N r c D0"],
     support: Float[Array, "r c"],
     allowed: Bool[Array, "N N 2"],
     *,
-    keep: int,
     ranking: str = "correlation",
     min_support: float,
     seed: int = 0,
 ) -> LoopCandidates:
-    """The best `keep` candidates of every view among the earlier views it may be compared with.
+    """Up to SHORTLIST candidates of each direction for every view, ranked together, best first.
 
     Args:
       dense_maps: from `descriptor_map.dense`, one a view.
       support: share of each cell's descriptor inside the field of view.
       allowed: from `retrieve.comparable`.
-      keep: candidates a view.
       ranking: "correlation" or "cosine".
       min_support: cells below it do not count.
       seed: of the vocabulary.
@@ -78,18 +92,17 @@ def search(
     reduce = jax.jit(lambda block: jax.vmap(lambda m: project(m.astype(jnp.float32), space))(block))
     maps = jnp.concatenate([reduce(dense_maps[k : k + BLOCK]) for k in range(0, views, BLOCK)])
     vectors = global_descriptors(maps, space, seed=seed)
-    shortlist = SHORTLIST if ranking == "correlation" else keep
-    shortlist = max(1, min(shortlist, 2 * views))
-    cosine, j, opposing = cosine_top_k(vectors[..., 0], vectors, allowed, k=shortlist)
+    cosine, j, opposing = shortlist(vectors, allowed, SHORTLIST)
     valid = jnp.isfinite(cosine)
     i = jnp.broadcast_to(jnp.arange(views, dtype=jnp.int32)[:, None], j.shape)
     if ranking == "cosine":
-        shift = jnp.zeros((*j.shape, 2), jnp.int32)
-        return LoopCandidates(i, j, opposing, 1 - cosine, shift, valid)
+        return LoopCandidates(i, j, opposing, 1 - cosine, jnp.zeros((*j.shape, 2), jnp.int32), valid)
     spectra = jax.jit(lambda m: jax.lax.map(lambda one: spectrum(one, space), m))(maps)
     score, shift = correlate_shortlist(spectra, i[:, 0], j, opposing, space)
     score = jnp.where(valid, score, -jnp.inf)
-    best, order = jax.lax.top_k(score, min(keep, shortlist))
-    take = lambda values: jnp.take_along_axis(values, order, axis=1)  # noqa: E731
+    order = jnp.argsort(-score, axis=1)
+    score, i, j, opposing, valid = (
+        jnp.take_along_axis(values, order, axis=1) for values in (score, i, j, opposing, valid)
+    )
     shift = jnp.take_along_axis(shift, order[..., None], axis=1)
-    return LoopCandidates(take(i), take(j), take(opposing), 1 - best, shift, take(valid))
+    return LoopCandidates(i, j, opposing, 1 - score, shift, valid)

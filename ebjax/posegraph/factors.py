@@ -62,7 +62,7 @@ def _terms(graph, poses):
     """Residual, transposed Jacobian of the log, and transposed adjoint of j_from_i, per edge."""
     lie = graph.lie
     i_from_j = _once(lie.compose(lie.inverse(poses[graph.i]), poses[graph.j]))
-    r = _once(lie.log(lie.compose(lie.inverse(graph.measured), i_from_j)))
+    r = _once(lie.log(lie.compose(lie.inverse(jnp.asarray(graph.measured)), i_from_j)))
     jb_t = _once(lie.log_jacobian(r).swapaxes(-1, -2))
     return r, jb_t, _once(lie.adjoint(lie.inverse(i_from_j)).swapaxes(-1, -2))
 

@@ -217,7 +217,7 @@ def write_outputs(config, sequence: Sequence, frames: Frames, result: Result, vi
     seen = np.asarray(view.seen)
     floor = mosaic(
         iter(result.described.view), seen, np.asarray(view.floor_from_view, np.float64), after[result.keyframes],
-        metres_per_px=config.map_metres_per_px,
+        masks=iter(result.described.floor), metres_per_px=config.map_metres_per_px,
     )  # fmt: skip
     closures = np.stack([candidates.i[chosen], candidates.j[chosen]], 1)
     pngs = {

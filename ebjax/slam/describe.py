@@ -6,12 +6,12 @@ from functools import partial
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, UInt8
+from jaxtyping import Array, Bool, Float, UInt8
 
 from ebjax.features.extractor import extractor
 from ebjax.features.matching import Features
 from ebjax.features.measure import lift
-from ebjax.geometry.camera import Camera
+from ebjax.geometry.camera import Camera, backproject
 from ebjax.geometry.homography import apply
 from ebjax.geometry.warp import Taps, gather, taps
 from ebjax.places.descriptor_map import dense
@@ -19,6 +19,8 @@ from ebjax.slam.view import RunView
 
 SUPERSAMPLE = 2
 """Each view pixel averages so many samples a side: near floor is imaged finer than the view and would alias."""
+OBSTACLE_M = (0.1, 0.05)
+"""What rises above the floor by more than this, plus this share of its distance, is no floor: a wall, a leg."""
 LUMA = (0.299, 0.587, 0.114)
 
 
@@ -29,11 +31,28 @@ class Described:
     """One frame, or with a leading axis many: view (RGB), dense place map, features, their floor points and 3D points."""
 
     view: UInt8[Array, "*n h w 3"]
+    floor: Bool[Array, "*n h w"]  # seen, and nothing stands there as far as depth knows
     place_map: Float[Array, "*n r c D"]
     features: Features
     floor_points: Float[Array, "*n K 2"]  # in base, m
     points: Float[Array, "*n K 3"]  # in base, m
     range_m: Float[Array, "*n K"]  # depth of the 3D points; 0 where there is none
+
+
+def clear_floor(depth_m: Float[Array, "H W"], view: RunView, camera: Camera) -> Bool[Array, "h w"]:
+    """View pixels where depth shows floor or nothing at all; robust to a T_base_camera that is some degrees off."""
+    height, width = view.size
+    rows, columns = jnp.meshgrid(jnp.arange(height), jnp.arange(width), indexing="ij")
+    grid = jnp.stack([columns.reshape(-1), rows.reshape(-1)], -1).astype(view.image_from_view.dtype)
+    pixels = apply(view.image_from_view, grid)
+    nearest = jnp.round(pixels).astype(jnp.int32)
+    u, v = jnp.clip(nearest[:, 0], 0, camera.width - 1), jnp.clip(nearest[:, 1], 0, camera.height - 1)
+    depth = depth_m[v, u]
+    points = backproject(pixels, depth, camera.intrinsics)
+    pose = jnp.asarray(camera.base_from_camera)
+    up = points @ pose[2, :3] + pose[2, 3]
+    standing = (depth > 0) & (up > OBSTACLE_M[0] + OBSTACLE_M[1] * depth)
+    return view.seen & ~standing.reshape(height, width)
 
 
 def view_taps(view: RunView, camera: Camera) -> Taps:
@@ -77,16 +96,21 @@ def describe(
     colours = floor_view(rgb, samples)
     grey = colours @ jnp.asarray(LUMA, colours.dtype)
     place_map, _ = dense(grey, view.seen.astype(grey.dtype))
+    floor = clear_floor(depth_m.astype(view.image_from_view.dtype), view, camera)
     chosen = extractor(extractor_name if extractor(extractor_name).jitted else "rootsift")
     features = chosen.extract(grey, view.seen)
     return Described(
         jnp.round(colours * 255).astype(jnp.uint8),
+        floor,
         place_map.astype(jnp.float16),
-        *_located(features, depth_m, view, camera),
+        *_located(features, floor, depth_m, view, camera),
     )
 
 
-def _located(features: Features, depth_m, view: RunView, camera: Camera):
+def _located(features: Features, floor, depth_m, view: RunView, camera: Camera):
+    """Drops features that do not lie on the floor, and gives the others their floor points and 3D points."""
+    row, column = (jnp.round(features.keypoints[:, k]).astype(jnp.int32) for k in (1, 0))
+    features = dataclasses.replace(features, valid=features.valid & floor[row, column])
     keypoints = features.keypoints.astype(view.image_from_view.dtype)
     pixels = apply(view.image_from_view, keypoints)
     points, range_m = lift(pixels, depth_m.astype(pixels.dtype), camera)
@@ -106,4 +130,5 @@ def describe_host(rgb, depth_m, samples: Taps, view: RunView, camera: Camera, ex
 
     grey = np.asarray(result.view, np.float32) @ np.asarray(LUMA, np.float32) / 255
     features = jax.tree.map(jnp.asarray, chosen.extract(grey, np.asarray(view.seen)))
-    return Described(result.view, result.place_map, *_located_jit(features, jnp.asarray(depth_m), view, camera))
+    located = _located_jit(features, result.floor, jnp.asarray(depth_m), view, camera)
+    return Described(result.view, result.floor, result.place_map, *located)

@@ -55,7 +55,7 @@ class PipelineConfig:
     min_gap_m: float = 4.0
     """... and, in the same direction, at least so much path earlier, m."""
     verify: int = 2
-    """Candidates of each view that are verified, the best first."""
+    """Candidates of each view that are verified in each direction, the best first."""
     tolerance_m: float = 0.02
     """Largest distance of matching points on the floor, m."""
     kernel: Literal["cauchy", "none", "huber", "geman-mcclure", "dcs"] = "cauchy"
@@ -146,7 +146,6 @@ def run(
             np.asarray(described.place_map),
             support,
             allowed,
-            keep=max(config.verify, 5),
             ranking=config.ranking,
             min_support=MIN_SUPPORT,
             seed=config.seed,
@@ -155,10 +154,8 @@ def run(
     stage("search", start)
 
     start = time.perf_counter()
-    pick = ranked.valid[:, : config.verify]
-    i, j, opposing, distance = (
-        np.asarray(a)[:, : config.verify][pick] for a in (ranked.i, ranked.j, ranked.opposing, ranked.distance)
-    )
+    pick = best_of_each_direction(ranked, config.verify)
+    i, j, opposing, distance = (a[pick] for a in (ranked.i, ranked.j, ranked.opposing, ranked.distance))
     verified, floor, depth, with_depth = verify_pairs(described, i, j, opposing, config)
     by_depth = with_depth >= MIN_DEPTH_INLIERS
     candidates = Measured(
@@ -225,6 +222,15 @@ def candidates_for_keyframes(odom_from_base: Float[np.ndarray, "F 3"], distance_
     return chosen
 
 
+def best_of_each_direction(ranked: LoopCandidates, count: int) -> Bool[np.ndarray, "N K"]:
+    """Marks the first `count` candidates of every view seen from the same side and as many from the opposite one."""
+    pick = np.zeros(ranked.valid.shape, bool)
+    for way in (False, True):
+        mine = np.asarray(ranked.valid) & (np.asarray(ranked.opposing) == way)
+        pick |= mine & (np.cumsum(mine, axis=1) <= count)
+    return pick
+
+
 def _prefetched(pool: ThreadPoolExecutor, load: Load, frames: list[int]) -> Iterator[tuple[int, Any]]:
     """Decodes a few frames ahead of the one being described."""
     waiting = [pool.submit(load, frame) for frame in frames[:PREFETCH]]
@@ -269,7 +275,7 @@ def verify_pairs(
         return jax.lax.map(one, (query, reference, opposing, keys))
 
     def take(rows):
-        light = dataclasses.replace(described, view=described.view[:, :1, :1], place_map=described.place_map[:, :1, :1])
+        light = dataclasses.replace(described, view=None, floor=None, place_map=None)
         return jax.tree.map(lambda leaf: leaf[rows], light)
 
     keys = jax.random.split(jax.random.key(config.seed), max(len(i), 1))

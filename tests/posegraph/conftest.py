@@ -1,3 +1,4 @@
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -13,14 +14,14 @@ def ring(group="se2", n=60, loops=6, false_loops=0, noise=0.02, seed=0, dtype=jn
     step[:, 0], step[:, -1] = 0.5, 4 * np.pi / n
     if group == "se3":
         step[:, 3:5] = 0.05 * rng.normal(size=(n - 1, 2))
-    truth = compose_all(g, jnp.asarray(g.identity), g.exp(jnp.asarray(step)))
+    truth = compose_all(g, jnp.asarray(g.identity), jax.jit(g.exp)(jnp.asarray(step)))
     first = rng.integers(0, n // 2, loops)
     second = first + rng.integers(n // 3, n // 2 - 1, loops)
     i, j = np.concatenate([np.arange(n - 1), first]), np.concatenate([np.arange(1, n), second])
     error = rng.normal(size=(len(i), g.dim)) * noise
     if false_loops:
         error[-false_loops:] += rng.normal(size=(false_loops, g.dim))
-    measured = g.compose(g.compose(g.inverse(truth[i]), truth[j]), g.exp(jnp.asarray(error)))
+    measured = jax.jit(lambda a, b, e: g.compose(g.compose(g.inverse(a), b), g.exp(e)))(truth[i], truth[j], error)
     root = rng.normal(size=(len(i), g.dim, g.dim))
     information = 500 * np.eye(g.dim)[None] + 20 * (root @ root.swapaxes(1, 2))
     poses = compose_all(g, truth[0], measured[: n - 1])
@@ -30,10 +31,8 @@ def ring(group="se2", n=60, loops=6, false_loops=0, noise=0.02, seed=0, dtype=jn
 
 
 def compose_all(g, start, steps):
-    poses = [start]
-    for step in steps:
-        poses.append(g.compose(poses[-1], step))
-    return jnp.stack(poses)
+    _, poses = jax.lax.scan(lambda pose, step: (g.compose(pose, step),) * 2, start, steps)
+    return jnp.concatenate([start[None], poses])
 
 
 @pytest.fixture(name="ring")
