@@ -17,7 +17,7 @@ MAY_IMPORT = {
     "slam": {"geometry", "models", "places", "features", "posegraph", "floors"},
     "evaluation": set(),
     "io": set(),
-    "viz": {"geometry", "io"},
+    "viz": {"geometry", "io", "evaluation", "posegraph", "slam"},
     "config.py": {"io"},
     "command.py": {"config", "io"},
 }

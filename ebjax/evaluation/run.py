@@ -1,4 +1,4 @@
-"""Figures of merit of a run with ground truth: trajectory error before and after, errors of the closures, recall. NumPy only."""
+"""Figures of merit of a run with ground truth: trajectory error, errors of the closures, reasons. NumPy only."""
 
 from typing import Any
 

@@ -11,7 +11,7 @@ import typing
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Complex, Float, Int
+from jaxtyping import Array, Complex, Float, Int
 
 from ebjax.places.descriptor_map import MapSpace
 
@@ -25,56 +25,85 @@ MIN_OVERLAP = 0.15
 class Spectrum:
     """The Fourier transform of a map, zero-padded to twice its size, and its energy in the overlap for every shift.
 
+    `values` has the real parts of all channels, then the imaginary ones: the sums over channels are real matrix products.
     `as_query` and `as_reference` hold the energy for the same direction ([..., 0]) and the opposing one ([..., 1]).
     """
 
-    values: Complex[Array, "*n L M D"]
+    values: Float[Array, "*n F D2"]
     as_query: Float[Array, "*n P Q 2"]
     as_reference: Float[Array, "*n P Q 2"]
 
 
-def _padded(size: tuple[int, int]) -> tuple[int, int]:
+def _padded(size: tuple[int, ...]) -> tuple[int, int]:
     return 2 * size[0], 2 * size[1]
 
 
 def _transform(values: Float[Array, "h w D"]) -> Complex[Array, "L M D"]:
-    return jnp.fft.rfft2(values, _padded(values.shape[:2]), axes=(0, 1))
+    return jnp.fft.rfft2(values, _padded(values.shape), axes=(0, 1))
 
 
-def _both_ways(a: Complex[Array, "L M D"], b: Complex[Array, "L M D"], size: tuple[int, int]) -> Float[Array, "P Q 2"]:
-    """Sums over channels of corr(a, b) and corr(a, b reversed), brought to the same shift index (signed, wrapped)."""
-    same = jnp.fft.irfft2(jnp.sum(a * jnp.conj(b), -1), _padded(size))
-    turned = jnp.fft.irfft2(jnp.sum(a * b, -1), _padded(size))
-    turned = jnp.roll(turned, (-(size[0] - 1), -(size[1] - 1)), axis=(0, 1))
-    return jnp.stack([same, turned], -1)
+def _to_shifts(
+    spectrum: Complex[Array, "*n L M"], size: tuple[int, ...], *, opposing: bool
+) -> Float[Array, "*n P Q"]:
+    """Back from frequencies to shifts (signed, wrapped); a product without conjugate correlates with the reversed map."""
+    values = jnp.fft.irfft2(spectrum, _padded(size))
+    return jnp.roll(values, (1 - size[0], 1 - size[1]), axis=(-2, -1)) if opposing else values
+
+
+def _both_ways(a: Complex[Array, "L M 1"], b: Complex[Array, "L M 1"], size: tuple[int, ...]) -> Float[Array, "P Q 2"]:
+    same = _to_shifts((a * jnp.conj(b))[..., 0], size, opposing=False)
+    return jnp.stack([same, _to_shifts((a * b)[..., 0], size, opposing=True)], -1)
 
 
 def spectrum(values: Float[Array, "h w D"], space: MapSpace) -> Spectrum:
     """What `correlate` needs of a projected map."""
-    size = (values.shape[0], values.shape[1])
+    size = space.mask.shape
     mask = _transform(space.mask[..., None])
     energy = _transform(jnp.sum(values**2, -1, keepdims=True))
-    return Spectrum(_transform(values), _both_ways(energy, mask, size), _both_ways(mask, energy, size))
+    transformed = _transform(values).reshape(-1, values.shape[-1])
+    parts = jnp.concatenate([transformed.real, transformed.imag], -1)
+    return Spectrum(parts, _both_ways(energy, mask, size), _both_ways(mask, energy, size))
+
+
+def overlap_weight(space: MapSpace) -> Float[Array, "P Q 2"]:
+    """overlap(s)^OVERLAP_POWER for both directions, 0 where less than MIN_OVERLAP of the cells overlap."""
+    mask = _transform(space.mask[..., None])
+    overlap = _both_ways(mask, mask, space.mask.shape) / jnp.maximum(jnp.sum(space.mask), 1)
+    return jnp.where(overlap > MIN_OVERLAP, jnp.maximum(overlap, 1e-6) ** OVERLAP_POWER, 0)
 
 
 def correlate(
-    query: Spectrum, reference: Spectrum, opposing: Bool[Array, ""], space: MapSpace
-) -> tuple[Float[Array, ""], Int[Array, "2"]]:
-    """The best score in [-1, 1] and its shift (rows, columns) in cells: query(x + shift) lies on reference(x)."""
-    size = (space.mask.shape[0], space.mask.shape[1])
-    rows, columns = size
-    way = opposing.astype(jnp.int32)
-    other = jnp.where(opposing, reference.values * space.parity, jnp.conj(reference.values))
-    raw = jnp.fft.irfft2(jnp.sum(query.values * other, -1), _padded(size))
-    origin = jnp.where(opposing, jnp.array([rows - 1, columns - 1], jnp.int32), jnp.zeros(2, jnp.int32))
-    raw = jnp.roll(raw, -origin, axis=(0, 1))
-    mask = _transform(space.mask[..., None])
-    overlap = _both_ways(mask, mask, size)[..., way] / jnp.maximum(jnp.sum(space.mask), 1)
-    energy = query.as_query[..., way] * reference.as_reference[..., way]
-    score = raw / jnp.sqrt(jnp.maximum(energy, 1e-8)) * jnp.maximum(overlap, 1e-6) ** OVERLAP_POWER
-    score = jnp.where(overlap > MIN_OVERLAP, score, -1.0)
-    best = jnp.argmax(score)
-    index = jnp.stack([best // score.shape[1], best % score.shape[1]]).astype(jnp.int32)
-    padded = jnp.array(_padded(size), jnp.int32)
+    query: Spectrum, references: Spectrum, weight: Float[Array, "P Q 2"], space: MapSpace, *, opposing: bool
+) -> tuple[Float[Array, "k"], Int[Array, "k 2"]]:
+    """The best score in [-1, 1] of one query with each of k references, and its shift (rows, columns) in cells.
+
+    query(x + shift) lies on reference(x): with the rows of a floor view pointing back and its columns to the right, the
+    query's view is `shift` cells ahead and to the left of the reference's view, which is turned about its centre if opposing.
+
+    Args:
+      query: from `spectrum`.
+      references: from `spectrum`, stacked.
+      weight: from `overlap_weight`.
+      space: of all maps.
+      opposing: whether the references are turned by pi.
+    """
+    size, way = space.mask.shape, int(opposing)
+    real, imaginary = jnp.split(query.values, 2, -1)
+    if opposing:
+        real, imaginary = real * space.parity[None, :], imaginary * space.parity[None, :]
+        products = (real, -imaginary), (imaginary, real)
+    else:
+        products = (real, imaginary), (imaginary, -real)
+    ours = jnp.stack([jnp.concatenate(parts, -1) for parts in products], 1)
+    summed = jnp.einsum("kfd,fcd->kfc", references.values, ours)
+    height, width = _padded(size)
+    frequencies = jax.lax.complex(summed[..., 0], summed[..., 1]).reshape(-1, height, width // 2 + 1)
+    raw = _to_shifts(frequencies, size, opposing=opposing)
+    energy = query.as_query[None, ..., way] * references.as_reference[..., way]
+    weight = weight[None, ..., way]
+    score = jnp.where(weight > 0, raw / jnp.sqrt(jnp.maximum(energy, 1e-8)) * weight, -1).reshape(len(raw), -1)
+    best = jnp.argmax(score, 1).astype(jnp.int32)
+    index = jnp.stack([best // width, best % width], -1)
+    padded = jnp.array([height, width], jnp.int32)[None, :]
     shift = jnp.where(index >= padded // 2, index - padded, index)
-    return score.reshape(-1)[best], shift
+    return jnp.take_along_axis(score, best[:, None], 1)[:, 0], shift

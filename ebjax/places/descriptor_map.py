@@ -7,6 +7,7 @@ vector is even or odd under R_pi, so the map of the view turned by pi is the rev
 
 import dataclasses
 import typing
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -56,30 +57,45 @@ def rotate_pi_dense(values: Float[Array, "*n h w D0"]) -> Float[Array, "*n h w D
     return rotate_pi_descriptor(scales).reshape(values.shape)[..., ::-1, ::-1, :]
 
 
+def _halves(values: Float[Array, "*n D0"]) -> Float[Array, "2 *n D1"]:
+    """Coordinates in the orthonormal even and odd vectors (e_i + turned e_i) / sqrt 2, (e_i - turned e_i) / sqrt 2."""
+    scales = values.reshape(*values.shape[:-1], -1, DIMENSION)
+    turned = rotate_pi_descriptor(scales)
+    both = jnp.stack([scales + turned, scales - turned])[..., : DIMENSION // 2]
+    return both.reshape(2, *values.shape[:-1], -1) / np.sqrt(2).astype(values.dtype)
+
+
+def _whole(coordinates: Float[Array, "n D1"], sign: float) -> Float[Array, "n D0"]:
+    """The vectors with such even (sign 1) or odd (-1) coordinates."""
+    half = coordinates.reshape(coordinates.shape[0], -1, DIMENSION // 2)
+    scales = jnp.concatenate([half, jnp.zeros_like(half)], -1)
+    whole = scales + sign * rotate_pi_descriptor(scales)
+    return whole.reshape(coordinates.shape[0], -1) / np.sqrt(2).astype(coordinates.dtype)
+
+
+@partial(jax.jit, static_argnames="channels")
 def learn_space(views: Float[Array, "N h w D0"], mask: Bool[Array, "h w"], channels: int) -> MapSpace:
     """Learns the components from a sample of a run's dense maps.
 
-    The covariance is made symmetric under R_pi and diagonalised in its even and its odd half, which makes parity exact.
+    The covariance, made symmetric under R_pi, has no entries between even and odd vectors: each half is diagonalised by
+    itself, which makes parity exact. Computed in float32 at least.
     """
-    mean = jnp.mean(views, axis=0)
-    centred = (views - mean[None]) * mask[None, :, :, None]
-    rows = centred.reshape(-1, views.shape[-1])
-    turned = rotate_pi_dense(centred).reshape(rows.shape)
-    dimension = rows.shape[1]
-    covariance = (rows.T @ rows + turned.T @ turned) / (2 * len(views) * jnp.maximum(mask.sum(), 1))
-    identity = jnp.eye(dimension, dtype=rows.dtype)
-    turn = rotate_pi_dense(identity[:, None, None, :])[:, 0, 0]
-    values, vectors, signs = [], [], []
-    for sign in (1.0, -1.0):
-        half, basis = jnp.linalg.eigh((identity + sign * turn) / 2)
-        basis = basis[:, half > 0.5]
-        eigenvalues, inner = jnp.linalg.eigh(basis.T @ covariance @ basis)
-        values.append(eigenvalues)
-        vectors.append(basis @ inner)
-        signs.append(jnp.full(eigenvalues.shape, sign, rows.dtype))
-    order = jnp.argsort(-jnp.concatenate(values))[:channels]
-    basis = jnp.concatenate(vectors, 1)[:, order]
-    return MapSpace(mean, basis, jnp.concatenate(signs)[order], mask.astype(rows.dtype))
+    dtype = jnp.promote_types(views.dtype, jnp.float32)
+    count = mask.astype(dtype)
+    mean = jnp.mean(views, axis=0, dtype=dtype)
+
+    def add(total, view):
+        halves = _halves((view.astype(dtype) - mean) * count[..., None])
+        rows = halves.reshape(2, -1, halves.shape[-1])
+        return total + jnp.swapaxes(rows, 1, 2) @ rows, None
+
+    half = views.shape[-1] // 2
+    covariance, _ = jax.lax.scan(add, jnp.zeros((2, half, half), dtype), views)
+    values, vectors = jnp.linalg.eigh(covariance / (len(views) * jnp.maximum(count.sum(), 1)))
+    _, order = jax.lax.top_k(values.reshape(-1), channels)
+    basis = jnp.concatenate([_whole(vectors[0].T, 1.0), _whole(vectors[1].T, -1.0)])[order]
+    parity = jnp.where(order < half, 1, -1).astype(dtype)
+    return MapSpace(mean, basis.T, parity, count)
 
 
 def project(view: Float[Array, "h w D0"], space: MapSpace) -> Float[Array, "h w D"]:

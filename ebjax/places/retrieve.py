@@ -1,7 +1,7 @@
 """Causal retrieval: each view sees only earlier ones, in the same direction and from the opposite side, together.
 
-The shortlist is by cosine of global descriptors, the ranking by shift-maximised correlation of descriptor maps. Everything is
-one jitted program per block of queries; scores come from images alone, odometry only says which pairs may be compared.
+The shortlist is by cosine of global descriptors, the ranking by shift-maximised correlation of descriptor maps. Both are
+jitted programs over all queries; scores come from images alone, odometry only says which pairs may be compared.
 """
 
 import dataclasses
@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from ebjax.places.correlation import Spectrum, correlate
+from ebjax.places.correlation import correlate, overlap_weight, spectrum
 from ebjax.places.descriptor_map import MapSpace
 
 
@@ -30,6 +30,7 @@ class LoopCandidates:
     valid: Bool[Array, "Q K"]
 
 
+@jax.jit
 def comparable(
     times_s: Float[Array, "N"], travelled_m: Float[Array, "N"], gap_s: float, gap_m: float
 ) -> Bool[Array, "N N 2"]:
@@ -46,33 +47,63 @@ def comparable(
 
 @partial(jax.jit, static_argnames="k")
 def cosine_top_k(
-    queries: Float[Array, "Q V"], references: Float[Array, "N V 2"], allowed: Bool[Array, "Q N 2"], *, k: int
-) -> tuple[Float[Array, "Q k"], Int[Array, "Q k"], Bool[Array, "Q k"]]:
-    """The k best cosine scores of each query over both directions: score, reference index, whether it is opposing."""
-    scores = jnp.einsum("qv,nvd->qnd", queries, references)
-    scores = jnp.where(allowed, scores, -jnp.inf).reshape(queries.shape[0], -1)
-    best, index = jax.lax.top_k(scores, min(k, scores.shape[1]))
-    return best, (index // 2).astype(jnp.int32), (index % 2).astype(bool)
+    queries: Float[Array, "Q V"], references: Float[Array, "N V"], allowed: Bool[Array, "Q N"], *, k: int
+) -> tuple[Float[Array, "Q k"], Int[Array, "Q k"]]:
+    """The k best cosine scores of each query, best first, and their references; -inf where fewer are allowed.
+
+    Of equal scores the earlier reference comes first.
+    """
+    scores = jnp.where(allowed, queries @ references.T, -jnp.inf)
+    return tuple(jax.lax.top_k(scores, min(k, scores.shape[1])))
+
+
+@partial(jax.jit, static_argnames="k")
+def shortlist(
+    vectors: Float[Array, "N V 2"], queries: Int[Array, "Q"], allowed: Bool[Array, "Q N 2"], *, k: int
+) -> tuple[Float[Array, "Q 2 k"], Int[Array, "Q 2 k"]]:
+    """The k best of each direction by cosine ([:, 0] the same, [:, 1] opposing): neither crowds the other out."""
+    ways = [cosine_top_k(vectors[queries, :, 0], vectors[..., way], allowed[..., way], k=k) for way in (0, 1)]
+    cosine, j = (jnp.stack(parts, 1) for parts in zip(*ways, strict=True))
+    return cosine, j
 
 
 @jax.jit
 def correlate_shortlist(
-    spectra: Spectrum,
-    query: Int[Array, "Q"],
-    reference: Int[Array, "Q k"],
-    opposing: Bool[Array, "Q k"],
-    space: MapSpace,
-) -> tuple[Float[Array, "Q k"], Int[Array, "Q k 2"]]:
-    """Correlation score and shift of every shortlisted pair."""
+    maps: Float[Array, "N h w D"], queries: Int[Array, "Q"], references: Int[Array, "Q 2 k"], space: MapSpace
+) -> tuple[Float[Array, "Q 2 k"], Int[Array, "Q 2 k 2"]]:
+    """Correlation score and shift of every shortlisted pair, laid out as `shortlist` gives them."""
+    spectra = jax.lax.map(lambda one: spectrum(one, space), maps)
+    weight = overlap_weight(space)
 
     def one_query(args):
-        i, js, ways = args
+        i, js = args
         ours = jax.tree.map(lambda leaf: leaf[i], spectra)
+        ways = []
+        for way in (0, 1):
+            theirs = jax.tree.map(lambda leaf: leaf[js[way]], spectra)  # noqa: B023 - called at once
+            ways.append(correlate(ours, theirs, weight, space, opposing=bool(way)))
+        score, shift = (jnp.stack(parts) for parts in zip(*ways, strict=True))
+        return score, shift
 
-        def one_pair(pair):
-            theirs = jax.tree.map(lambda leaf: leaf[pair[0]], spectra)
-            return correlate(ours, theirs, pair[1], space)
+    return jax.lax.map(one_query, (queries, references))
 
-        return jax.lax.map(one_pair, (js, ways))
 
-    return jax.lax.map(one_query, (query, reference, opposing))
+@jax.jit
+def merge(
+    queries: Int[Array, "Q"],
+    references: Int[Array, "Q 2 k"],
+    score: Float[Array, "Q 2 k"],
+    shift: Int[Array, "Q 2 k 2"],
+    valid: Bool[Array, "Q 2 k"],
+) -> LoopCandidates:
+    """Both directions ranked together by score, best first, what is not valid last."""
+
+    def flat(values):
+        return values.reshape(values.shape[0], -1, *values.shape[3:])
+
+    opposing = jnp.broadcast_to(jnp.array([False, True])[None, :, None], references.shape)
+    best, order = jax.lax.top_k(flat(jnp.where(valid, score, -jnp.inf)), 2 * score.shape[2])
+    j, opposing, valid = (jnp.take_along_axis(flat(a), order, 1) for a in (references, opposing, valid))
+    shift = jnp.take_along_axis(flat(shift), order[..., None], 1)
+    i = jnp.broadcast_to(queries[:, None], j.shape)
+    return LoopCandidates(i, j, opposing, 1 - best, shift, valid)

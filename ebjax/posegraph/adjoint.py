@@ -7,41 +7,45 @@ pattern of the Gauss-Newton matrix: one sparse factorisation per derivative, wha
 
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from ebjax.posegraph.assembly import assemble, matvec
 from ebjax.posegraph.factors import edge_costs, edge_gradients, exact_blocks
-from ebjax.posegraph.levenberg import Solution, minimise
+from ebjax.posegraph.graph import PoseGraph
+from ebjax.posegraph.levenberg import minimise
 from ebjax.posegraph.linear import linear_solve
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(0, 1, 2))
-def optimum(kernel: str, max_steps: int, rtol: float, params: tuple, rest: tuple) -> Solution:
-    """`minimise`, differentiable in params = (graph's fixed poses, measured, information, width).
+@partial(jax.custom_jvp, nondiff_argnums=(0, 1, 2, 3))
+def optimum(group: str, kernel: str, max_steps: int, rtol: float, params: tuple, rest: tuple) -> tuple:
+    """The fields of `minimise`'s solution, differentiable in params = (fixed poses, measured, information, width).
 
-    `rest` = (graph, structure) gives everything that has no derivative. The starting point has none either, and neither
-    have `iterations` and `status`; `initial_cost` is treated as a constant. The derivative holds where the cost has a
-    strict local minimum and the steps have converged.
+    `rest` = (i, j, robust, structure) has no derivative. The starting point has none either, and neither have
+    `initial_cost`, `iterations` and `status`. The derivative holds where the cost has a strict local minimum and the
+    steps have converged. Plain tuples, because JAX puts other things than arrays into the tangents.
     """
-    graph, structure = rest
     poses, measured, information, width = params
-    graph = replace(graph, poses=poses, measured=measured, information=information)
-    return minimise(graph, structure, kernel, width, max_steps, rtol)
+    i, j, robust, structure = rest
+    graph = PoseGraph(poses, i, j, measured, information, robust, structure.fixed, group)
+    solution = minimise(graph, structure, kernel, width, max_steps, rtol)
+    return solution.poses, solution.cost, solution.initial_cost, solution.iterations, solution.status
 
 
 @optimum.defjvp
-def _optimum_jvp(kernel, max_steps, rtol, primals, tangents) -> tuple[Solution, Any]:
-    params, (graph, structure) = primals
-    solution = optimum(kernel, max_steps, rtol, params, (graph, structure))
+def _optimum_jvp(group, kernel, max_steps, rtol, primals, tangents):
+    params, rest = primals
+    solution = optimum(group, kernel, max_steps, rtol, params, rest)
+    i, j, robust, structure = rest
+    graph = PoseGraph(params[0], i, j, params[1], params[2], robust, structure.fixed, group)
     lie = graph.lie
     fixed = jnp.asarray(graph.fixed)
 
     def with_params(params):
         poses, measured, information, _ = params
-        poses = jnp.where(fixed[:, None], poses, solution.poses)
+        poses = jnp.where(fixed[:, None], poses, solution[0])
         return replace(graph, poses=poses, measured=measured, information=information)
 
     def gradient(params):
@@ -56,7 +60,7 @@ def _optimum_jvp(kernel, max_steps, rtol, primals, tangents) -> tuple[Solution, 
         return poses, jnp.sum(edge_costs(at, poses, kernel, params[3]))
 
     _, right = jax.jvp(gradient, (params,), (tangents[0],))
-    blocks = exact_blocks(with_params(params), solution.poses, kernel, params[3])
+    blocks = exact_blocks(with_params(params), solution[0], kernel, params[3])
     system, _ = assemble(graph, structure.pattern, blocks, ~fixed)
     delta = jax.lax.custom_linear_solve(
         lambda x: matvec(system, structure.pattern, x),
@@ -65,9 +69,8 @@ def _optimum_jvp(kernel, max_steps, rtol, primals, tangents) -> tuple[Solution, 
         symmetric=True,
     )
     _, (poses_dot, cost_dot) = jax.jvp(moved, (params, jnp.zeros_like(delta)), (tangents[0], delta))
-    zero = jax.tree.map(lambda x: jnp.zeros_like(x), solution.initial_cost)
-    integer = jnp.zeros((), jax.dtypes.float0)
-    return solution, Solution(poses_dot, cost_dot, zero, integer, integer)
+    none = np.zeros((), jax.dtypes.float0)
+    return solution, (poses_dot, cost_dot, jnp.zeros_like(solution[2]), none, none)
 
 
 def _refined(structure, system, right):

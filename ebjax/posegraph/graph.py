@@ -83,7 +83,7 @@ def check(graph: PoseGraph) -> None:
     for name in ("poses", "measured", "information"):
         value = getattr(graph, name)
         if not isinstance(value, jax.core.Tracer):
-            bad = ~np.isfinite(np.asarray(value).reshape(len(value), -1)).all(1)
+            bad = ~np.isfinite(np.asarray(value)).all(tuple(range(1, value.ndim)))
             if bad.any():
                 raise ValueError(f"{name} row {int(np.argmax(bad))} is not finite; remove the row or repair its source")
     if not isinstance(graph.information, jax.core.Tracer) and e:

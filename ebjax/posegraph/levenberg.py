@@ -77,8 +77,11 @@ class _SparseDescent(optx.AbstractDescent):
 class _Decrease(optx.AbstractSearch[Any, Any, Any, Any]):
     """Accepts what lowers the cost, and steps too small for their decrease to show above rounding.
 
-    State: step size = 1 / damping, which moves by factors of ten, and the first cost.
+    State: step size = 1 / damping, which moves by factors of ten, and the first cost. `floor` is what rounding of the
+    poses alone makes of the cost.
     """
+
+    floor: Float[Array, ""]
 
     def init(self, y, f_info_struct):
         del f_info_struct
@@ -87,7 +90,7 @@ class _Decrease(optx.AbstractSearch[Any, Any, Any, Any]):
     def step(self, first_step, y, y_eval, f_info, f_eval_info, state):
         size, initial = state
         cost, before = f_eval_info.as_min(), f_info.as_min()
-        noise = 1e5 * jnp.finfo(size.dtype).eps * before if size.dtype == jnp.float64 else 0 * before
+        noise = self.floor + jnp.finfo(size.dtype).eps * (1e5 if size.dtype == jnp.float64 else 0) * before
         accept = first_step | (cost <= before) | ((y_eval[1] <= noise) & (cost <= before + noise))
         size = jnp.where(first_step, size, jnp.where(accept, size * 10, size / 10))
         return size, accept, optx.RESULTS.successful, (size, jnp.where(first_step, cost, initial))
@@ -107,7 +110,7 @@ class _Levenberg(optx.AbstractGaussNewton):
         new_y, new, aux = super().step(fn, y, args, options, state, tags)
         before, after, predicted = _half(state), _half(new), new_y[1]
         accepted = new.num_steps_since_acceptance == 0
-        limit = self.rtol * before
+        limit = self.rtol * before + self.search.floor
         small = accepted & ~state.first_step & (before - after <= limit) & (predicted <= limit)
         stuck = new.search_state[0] < 1 / _LARGEST_DAMPING
         terminate = small | stuck | ~jnp.isfinite(after) | (after == 0)
@@ -153,9 +156,12 @@ def minimise(
         costs = edge_costs(edges.graph(y[0], graph.group), y[0], kernel, width)
         return jax.lax.stop_gradient(jnp.sqrt(costs))
 
+    largest = jnp.max(jnp.abs(start), initial=1)
+    traces = jnp.trace(edges.information, axis1=1, axis2=2)
+    floor = jnp.sum(traces) * (jnp.finfo(start.dtype).eps * largest) ** 2
     y0 = (start, jnp.full((), -1, start.dtype))
     descent = _SparseDescent(edges, structure, width, graph.group, kernel)
-    solver = _Levenberg(rtol, 0.0, optx.max_norm, descent, _Decrease(), lambda **_: None)
+    solver = _Levenberg(rtol, 0.0, optx.max_norm, descent, _Decrease(floor), lambda **_: None)
     found: optx.Solution = optx.least_squares(
         residual, solver, y0, (edges, width), max_steps=max_steps + 1, throw=False
     )

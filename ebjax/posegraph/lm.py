@@ -87,7 +87,4 @@ def _call(graph, kernel, width, max_steps, rtol, solver, structure, function):
 
 @partial(jax.jit, static_argnames=("group", "kernel", "max_steps", "rtol"))
 def _solve(params, rest, *, group, kernel, max_steps, rtol):
-    poses, measured, information, _ = params
-    i, j, robust, structure = rest
-    graph = PoseGraph(poses, i, j, measured, information, robust, structure.fixed, group)
-    return optimum(kernel, max_steps, rtol, params, (graph, structure))
+    return Solution(*optimum(group, kernel, max_steps, rtol, params, rest))

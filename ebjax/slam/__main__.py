@@ -1,13 +1,11 @@
-"""`python -m ebjax.slam [SEQUENCE] --out RUN`: closes loops from opposing viewpoints on a run and corrects its trajectory."""
+"""`python -m ebjax.slam [SEQUENCE] --out RUN`: closes loops from opposing views and corrects the trajectory."""
 
-import csv
 import dataclasses
-import json
 import resource
 import sys
 import time
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
@@ -18,20 +16,15 @@ from ebjax.evaluation.run import closure_errors, closure_summary, reason_counts,
 from ebjax.floors.__main__ import render_sequence
 from ebjax.floors.sequence import CorridorConfig
 from ebjax.geometry.camera import Camera, FloorView
-from ebjax.io.atomic import whole_file, whole_folder
+from ebjax.io.atomic import whole_folder
 from ebjax.io.sequence import BrokenFrame, Sequence, read_sequence
-from ebjax.io.trajectory import write_tum
 from ebjax.places.recall import facing_pairs, precision_100, recall_at_1
-from ebjax.posegraph.g2o import format_g2o
 from ebjax.slam.floor import camera_from_depth, floor_error_m
-from ebjax.slam.map import mosaic
 from ebjax.slam.pipeline import PipelineConfig, Result
 from ebjax.slam.pipeline import run as run_pipeline
 from ebjax.slam.view import choose_floor, from_camera, from_quad
-from ebjax.slam.world import matrices, planar
-from ebjax.viz import figures
-from ebjax.viz.report import report
-from ebjax.viz.run_page import run_page
+from ebjax.slam.world import planar
+from ebjax.viz.run_folder import write_run
 
 Quad = tuple[float, float, float, float, float, float, float, float]
 PAPER_RADIUS = 1 / 15
@@ -42,7 +35,7 @@ class Config(PipelineConfig):
     """Finds where the robot drove the other way over the same floor, and corrects its odometry with it."""
 
     sequence: tyro.conf.Positional[Path | None] = None
-    """Folder in TUM layout (rgb.txt, camera.json, odometry.txt; depth.txt, groundtruth.txt). None: a synthetic corridor."""
+    """Folder in TUM layout (rgb.txt, camera.json, odometry.txt; depth.txt, groundtruth.txt); None: a synthetic one."""
     out: Path = Path("runs/slam")
     """Folder for the results."""
     depth: Literal["sequence", "none"] = "sequence"
@@ -111,12 +104,22 @@ def main(config: Config) -> None:
         raise ValueError(f"{sequence.path / 'camera.json'}: {fault}") from None
 
     odometry = planar(sequence.odom_from_base)
-    result = run_pipeline(frames.load, sequence.timestamps, odometry, camera, view, config, progress)
+    try:
+        result = run_pipeline(frames.load, sequence.timestamps, odometry, camera, view, config, progress)
+    except ValueError as fault:
+        if not frames.broken:
+            raise
+        first = next(iter(frames.broken.values()))
+        raise ValueError(f"{sequence.path / 'rgb.txt'}: {fault}; repair the images, first {first}") from None
     check_images(config, sequence, frames, result)
     metrics = run_metrics(sequence, frames, result, view.centre_m)
     metrics["seconds"] = {name: round(value, 3) for name, value in result.seconds.items()}
     metrics["ms_per_frame"] = round(1e3 * sum(result.seconds.values()) / len(sequence), 2)
-    write_outputs(config, sequence, frames, result, view, metrics, started)
+    metrics["seconds"]["total"] = round(time.perf_counter() - started, 3)
+    metrics["peak_memory_mb"] = round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, 1)
+    with whole_folder(config.out) as folder:
+        write_run(folder, sequence, frames.load, result, view, metrics, config.map_metres_per_px)
+        dump_config(config, folder / "config.yaml")
     print_summary(config, metrics)
 
 
@@ -148,12 +151,12 @@ def check_images(config: Config, sequence: Sequence, frames: Frames, result: Res
         )
     if not sequence.has_depth:
         return
-    if not (result.described.range_m > 0).any():
+    if not (result.described.landmarks.range_m > 0).any():
         raise ValueError(
             f"{sequence.path / 'depth.txt'}: no depth on the floor in any of {len(result.keyframes)} frames "
             "(all zero or not finite); check depth_scale in camera.json, or run with --depth none"
         )
-    error = floor_error_m(result.described)
+    error = floor_error_m(result.described.landmarks)
     if error > 0.05:
         print(
             f"warning: depth sees the floor {error:.2f} m (median) off where T_base_camera puts it; "
@@ -192,135 +195,20 @@ def run_metrics(sequence: Sequence, frames: Frames, result: Result, centre_m: np
     metrics |= trajectory_errors(truth, planar(sequence.odom_from_base), after)
     errors = closure_errors(truth[candidates.i], truth[candidates.j], candidates.i_from_j)
     metrics |= closure_summary(errors, kept)
-    ranked = result.ranked
-    first = np.where(ranked.valid[:, 0], ranked.j[:, 0], -1)
+    valid, opposing, distance = (
+        np.asarray(column)[:, 0] for column in (result.ranked.valid, result.ranked.opposing, result.ranked.distance)
+    )
+    first = np.where(valid, np.asarray(result.ranked.j)[:, 0], -1)
     for name, radius in (("1m", 1.0), ("0.3m", 0.3), ("paper", travelled * PAPER_RADIUS)):
         pairs = facing_pairs(truth[result.keyframes], centre_m, radius)
-        share, queries = recall_at_1(first, ranked.opposing[:, 0], pairs)
+        share, queries = recall_at_1(first, opposing, pairs)
         key = "paper_recall" if name == "paper" else f"recall_at_1_{name}"
         metrics[key] = share
         metrics[f"{key}_queries"] = queries
         if name == "1m":
-            right = pairs[np.arange(len(first)), np.maximum(first, 0)] & ranked.opposing[:, 0]
-            later = ranked.valid[:, 0]
-            metrics["p100_1m"] = precision_100(-ranked.distance[later, 0].astype(np.float64), right[later])
+            right = pairs[np.arange(len(first)), np.maximum(first, 0)] & opposing
+            metrics["p100_1m"] = precision_100(-distance[valid].astype(np.float64), right[valid])
     return metrics
-
-
-def write_outputs(config, sequence: Sequence, frames: Frames, result: Result, view, metrics, started: float) -> None:
-    """Writes the run folder, whole or not at all."""
-    candidates, kept = result.candidates, result.kept
-    after = np.asarray(result.solution.poses)
-    poses = matrices(after, like=sequence.odom_from_base)
-    poses[:, 2, 3] = sequence.odom_from_base[:, 2, 3]
-    chosen = np.flatnonzero(kept)
-    seen = np.asarray(view.seen)
-    floor = mosaic(
-        iter(result.described.view), seen, np.asarray(view.floor_from_view, np.float64), after[result.keyframes],
-        masks=iter(result.described.floor), metres_per_px=config.map_metres_per_px,
-    )  # fmt: skip
-    closures = np.stack([candidates.i[chosen], candidates.j[chosen]], 1)
-    pngs = {
-        "trajectory": trajectory_figure(sequence, after, closures),
-        "floor_map": figures.floor_map(floor.image, floor.extent, after[:, :2], closures),
-        "candidates": figures.candidates(
-            np.stack([candidates.j, candidates.i], 1), 1 - candidates.distance, kept, len(sequence)
-        ),
-    }
-    best = [match_figure(sequence, frames, result, view, k) for k in spread_rows(chosen, 3)]
-    doubtful = np.flatnonzero(~kept & (candidates.inliers >= 12) & ~np.isin(result.reasons, _THINNED))
-    rejected = [match_figure(sequence, frames, result, view, k) for k in spread_rows(doubtful, 2)]
-    table = [
-        [sequence.names[candidates.i[k]], sequence.names[candidates.j[k]],
-         "the opposite side" if candidates.opposing[k] else "the same side", str(candidates.inliers[k]),
-         str(candidates.total[k]), *map(float, candidates.i_from_j[k, :2]), float(np.degrees(candidates.i_from_j[k, 2]))]
-        for k in chosen
-    ]  # fmt: skip
-    metrics["seconds"]["total"] = round(time.perf_counter() - started, 3)
-    metrics["peak_memory_mb"] = round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, 1)
-    page = run_page(sequence.path.name, metrics, pngs, [f for f in best if f], [f for f in rejected if f], table)
-    with whole_folder(config.out) as folder:
-        write_tum(folder / "trajectory.tum", sequence.timestamps, poses, "base_link; starts at odometry's first pose")
-        write_closures(folder / "loop_closures.csv", sequence, result)
-        (folder / "pose_graph.g2o").write_text(
-            format_g2o(dataclasses.replace(result.graph, poses=result.solution.poses))
-        )
-        (folder / "metrics.json").write_text(json.dumps(metrics, indent=2) + "\n")
-        (folder / "floor_map.png").write_bytes(pngs["floor_map"])
-        (folder / "trajectory.png").write_bytes(pngs["trajectory"])
-        with whole_file(folder / "report.html") as file:
-            file.write(report(page))
-        dump_config(config, folder / "config.yaml")
-
-
-_THINNED = ["a better closure is near on the path"]
-
-
-def trajectory_figure(sequence: Sequence, after: np.ndarray, closures: np.ndarray) -> bytes:
-    """Before, after and truth; with truth, each path aligned to it as its ATE is."""
-    from ebjax.evaluation.trajectory import align_se2
-
-    before = planar(sequence.odom_from_base)[:, :2]
-    paths = [before, after[:, :2]]
-    if sequence.world_from_base is None:
-        return figures.trajectory(paths[0], paths[1], closures=closures)
-    truth = planar(sequence.world_from_base)[:, :2]
-    known = np.isfinite(truth).all(1)
-
-    def flat(points):
-        return np.concatenate([points, np.zeros((len(points), 1))], 1)
-
-    aligned = []
-    for path in paths:
-        matrix = align_se2(flat(path[known]), flat(truth[known]))
-        aligned.append((flat(path) @ matrix[:3, :3].T + matrix[:3, 3])[:, :2])
-    return figures.trajectory(aligned[0], aligned[1], truth, closures)
-
-
-def match_figure(sequence: Sequence, frames: Frames, result: Result, view, k: int) -> dict[str, Any] | None:
-    """The raw images of a candidate with its matches, the earlier one turned by pi where the view is opposing."""
-    from ebjax.geometry.homography import apply
-
-    candidates = result.candidates
-    i, j = int(candidates.i[k]), int(candidates.j[k])
-    images = frames.load(i), frames.load(j)
-    if images[0] is None or images[1] is None:
-        return None
-    points = []
-    for frame, rows in ((i, result.verified.query[k]), (j, result.verified.reference[k])):
-        keypoints = result.described.features.keypoints[np.searchsorted(result.keyframes, frame)][rows]
-        points.append(np.asarray(apply(view.image_from_view, jnp.asarray(keypoints, jnp.float64))))
-    used = np.asarray(result.verified.matched[k])
-    caption = (
-        f"{sequence.names[i]} and {sequence.names[j]}: {candidates.inliers[k]} of {candidates.total[k]} matches agree; "
-        f"{result.reasons[k]}."
-    )
-    png = figures.matches(
-        images[0][0], images[1][0], points[0][used], points[1][used], np.asarray(result.verified.inliers[k])[used],
-        turn_second=bool(candidates.opposing[k]),
-    )  # fmt: skip
-    return {"png": png, "caption": caption}
-
-
-def write_closures(path: Path, sequence: Sequence, result: Result) -> None:
-    """Every verified candidate: where, how alike, what was measured, and whether and why it counts."""
-    c = result.candidates
-    sigma = np.sqrt(np.maximum(np.diagonal(c.covariance, axis1=1, axis2=2), 0))
-    with open(path, "w", newline="", encoding="utf-8") as file:
-        rows = csv.writer(file, lineterminator="\n")
-        rows.writerow(
-            "i j name_i name_j time_i_s time_j_s direction distance inliers matches x_m y_m theta_rad "
-            "sigma_x_m sigma_y_m sigma_theta_rad measured_by kept reason".split()
-        )
-        for k in range(len(c.i)):
-            i, j = int(c.i[k]), int(c.j[k])
-            numbers = [f"{value:.6f}" for value in (*c.i_from_j[k], *sigma[k])]
-            rows.writerow([
-                i, j, sequence.names[i], sequence.names[j], f"{sequence.timestamps[i]:.6f}",
-                f"{sequence.timestamps[j]:.6f}", "opposing" if c.opposing[k] else "same", f"{c.distance[k]:.6f}",
-                c.inliers[k], c.total[k], *numbers, "depth" if result.by_depth[k] else "floor",
-                int(result.kept[k]), result.reasons[k],
-            ])  # fmt: skip
 
 
 def print_summary(config: Config, metrics: dict[str, Any]) -> None:

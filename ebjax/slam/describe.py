@@ -1,4 +1,4 @@
-"""From an image to everything the run needs of it, one jitted program a frame: floor view, place map, features, 3D points."""
+"""From an image to all that the run needs of it, one jitted program: floor view, place map, features, 3D points."""
 
 import dataclasses
 import typing
@@ -27,16 +27,25 @@ LUMA = (0.299, 0.587, 0.114)
 @typing.no_type_check
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
-class Described:
-    """One frame, or with a leading axis many: view (RGB), dense place map, features, their floor points and 3D points."""
+class Landmarks:
+    """The features of a frame, or with a leading axis of many, and where they lie in base."""
 
-    view: UInt8[Array, "*n h w 3"]
+    features: Features
+    floor_points: Float[Array, "*n K 2"]  # on the floor, m
+    points: Float[Array, "*n K 3"]  # by depth, m
+    range_m: Float[Array, "*n K"]  # depth of `points`; 0 where there is none
+
+
+@typing.no_type_check
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Described:
+    """One frame, or with a leading axis many: the floor view, its dense place map, its landmarks."""
+
+    view: UInt8[Array, "*n h w 3"]  # RGB
     floor: Bool[Array, "*n h w"]  # seen, and nothing stands there as far as depth knows
     place_map: Float[Array, "*n r c D"]
-    features: Features
-    floor_points: Float[Array, "*n K 2"]  # in base, m
-    points: Float[Array, "*n K 3"]  # in base, m
-    range_m: Float[Array, "*n K"]  # depth of the 3D points; 0 where there is none
+    landmarks: Landmarks
 
 
 def clear_floor(depth_m: Float[Array, "H W"], view: RunView, camera: Camera) -> Bool[Array, "h w"]:
@@ -68,9 +77,10 @@ def view_taps(view: RunView, camera: Camera) -> Taps:
 
 def floor_view(rgb: UInt8[Array, "H W 3"], samples: Taps) -> Float[Array, "h w 3"]:
     """The floor from above, in [0, 1], averaged down from the supersampled warp."""
-    fine = gather(rgb, samples)
-    height, width = fine.shape[0] // SUPERSAMPLE, fine.shape[1] // SUPERSAMPLE
-    return fine.reshape(height, SUPERSAMPLE, width, SUPERSAMPLE, 3).mean((1, 3))
+    # Without the barrier XLA gathers anew for every slice; a mean over reshaped axes is as slow.
+    fine = jax.lax.optimization_barrier(gather(rgb, samples))
+    rows, columns = range(SUPERSAMPLE), range(SUPERSAMPLE)
+    return sum(fine[r::SUPERSAMPLE, c::SUPERSAMPLE] for r in rows for c in columns) / SUPERSAMPLE**2
 
 
 @partial(jax.jit, static_argnames="extractor_name")
@@ -103,18 +113,18 @@ def describe(
         jnp.round(colours * 255).astype(jnp.uint8),
         floor,
         place_map.astype(jnp.float16),
-        *_located(features, floor, depth_m, view, camera),
+        _located(features, floor, depth_m, view, camera),
     )
 
 
-def _located(features: Features, floor, depth_m, view: RunView, camera: Camera):
+def _located(features: Features, floor, depth_m, view: RunView, camera: Camera) -> Landmarks:
     """Drops features that do not lie on the floor, and gives the others their floor points and 3D points."""
     row, column = (jnp.round(features.keypoints[:, k]).astype(jnp.int32) for k in (1, 0))
     features = dataclasses.replace(features, valid=features.valid & floor[row, column])
     keypoints = features.keypoints.astype(view.image_from_view.dtype)
     pixels = apply(view.image_from_view, keypoints)
     points, range_m = lift(pixels, depth_m.astype(pixels.dtype), camera)
-    return features, apply(view.floor_from_view, keypoints), points, range_m
+    return Landmarks(features, apply(view.floor_from_view, keypoints), points, range_m)
 
 
 _located_jit = jax.jit(_located)
@@ -130,5 +140,5 @@ def describe_host(rgb, depth_m, samples: Taps, view: RunView, camera: Camera, ex
 
     grey = np.asarray(result.view, np.float32) @ np.asarray(LUMA, np.float32) / 255
     features = jax.tree.map(jnp.asarray, chosen.extract(grey, np.asarray(view.seen)))
-    located = _located_jit(features, result.floor, jnp.asarray(depth_m), view, camera)
-    return Described(result.view, result.floor, result.place_map, *located)
+    landmarks = _located_jit(features, result.floor, jnp.asarray(depth_m), view, camera)
+    return dataclasses.replace(result, landmarks=landmarks)

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from ebjax.geometry.camera import Camera, backproject
 from ebjax.geometry.plane import camera_from_plane, fit_ground_plane
-from ebjax.slam.describe import Described
+from ebjax.slam.describe import Landmarks
 
 MIN_INLIERS = 0.1
 
@@ -49,7 +49,7 @@ def camera_from_depth(
     return dataclasses.replace(found), float(plane[3]), float(pitch), float(roll)
 
 
-def floor_error_m(described: Described) -> float:
+def floor_error_m(landmarks: Landmarks) -> float:
     """Median height of the described floor points above z = 0 of base, m; 0 without depth."""
-    height = described.points[..., 2][described.range_m > 0]
+    height = landmarks.points[..., 2][landmarks.range_m > 0]
     return float(np.median(np.abs(height))) if height.size else 0.0

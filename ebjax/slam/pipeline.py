@@ -7,9 +7,7 @@ Numerical only: images come from a `load` function, results go back as arrays; f
 
 import dataclasses
 import time
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from typing import Any, Literal
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -27,15 +25,13 @@ from ebjax.places.search import search
 from ebjax.posegraph.graph import PoseGraph, make_graph
 from ebjax.posegraph.levenberg import Solution
 from ebjax.posegraph.lm import solve
-from ebjax.slam.describe import Described, describe_host, view_taps
+from ebjax.slam.describe import Described, Landmarks
+from ebjax.slam.keyframes import Load, Progress, describe_keyframes, moved_enough
 from ebjax.slam.select import KEPT, Measured, Odometry, SelectConfig, select
 from ebjax.slam.view import RunView
 
-Load = Callable[[int], tuple[np.ndarray, np.ndarray | None] | None]
-Progress = Callable[[Iterable, int, str], Iterator]
 MIN_DEPTH_INLIERS = 8
 PAIRS_A_CALL = 64
-PREFETCH = 4
 
 
 @dataclasses.dataclass(frozen=True)
@@ -131,7 +127,8 @@ def run(
         seconds[name] = time.perf_counter() - start
 
     start = time.perf_counter()
-    keyframes, described = describe_run(load, odom_from_base, camera, view, config, progress)
+    frames = moved_enough(odom_from_base, config.keyframe_m, config.keyframe_deg)
+    keyframes, described = describe_keyframes(load, frames, camera, view, config.extractor, progress)
     stage("describe", start)
 
     start = time.perf_counter()
@@ -156,7 +153,7 @@ def run(
     start = time.perf_counter()
     pick = best_of_each_direction(ranked, config.verify)
     i, j, opposing, distance = (a[pick] for a in (ranked.i, ranked.j, ranked.opposing, ranked.distance))
-    verified, floor, depth, with_depth = verify_pairs(described, i, j, opposing, config)
+    verified, floor, depth, with_depth = verify_pairs(described.landmarks, i, j, opposing, config)
     by_depth = with_depth >= MIN_DEPTH_INLIERS
     candidates = Measured(
         keyframes[i],
@@ -183,45 +180,6 @@ def run(
     return Result(keyframes, described, ranked, verified, candidates, by_depth, reasons, graph, solution, seconds)
 
 
-def describe_run(
-    load: Load,
-    odom_from_base: Float[np.ndarray, "F 3"],
-    camera: Camera,
-    view: RunView,
-    config: PipelineConfig,
-    progress: Progress,
-) -> tuple[Int[np.ndarray, " N"], Described]:
-    """Describes every keyframe: the next readable frame once the robot has moved or turned enough."""
-    samples = view_taps(view, camera)
-    blank = jnp.zeros((camera.height, camera.width), jnp.float32)
-    extractor(config.extractor)
-    due = candidates_for_keyframes(odom_from_base, config.keyframe_m, config.keyframe_deg)
-    keyframes: list[int] = []
-    rows: list[Any] = []
-    with ThreadPoolExecutor(2) as pool:
-        for frame, images in progress(_prefetched(pool, load, due), len(due), "describing"):
-            if images is None:
-                continue
-            rgb, depth = images
-            one = describe_host(rgb, blank if depth is None else depth, samples, view, camera, config.extractor)
-            rows.append(jax.tree.map(np.asarray, one))
-            keyframes.append(frame)
-    if len(rows) < 2:
-        raise ValueError(f"{len(rows)} of {len(due)} frames could be read; at least two are needed")
-    return np.array(keyframes), jax.tree.map(lambda *leaves: np.stack(leaves), *rows)
-
-
-def candidates_for_keyframes(odom_from_base: Float[np.ndarray, "F 3"], distance_m: float, turn_deg: float) -> list[int]:
-    """Frames at which the robot has moved or turned enough since the last one, the first included."""
-    chosen = [0]
-    for k in range(1, len(odom_from_base)):
-        step = odom_from_base[k] - odom_from_base[chosen[-1]]
-        turn = abs(np.arctan2(np.sin(step[2]), np.cos(step[2])))
-        if np.hypot(step[0], step[1]) >= distance_m or turn >= np.radians(turn_deg):
-            chosen.append(k)
-    return chosen
-
-
 def best_of_each_direction(ranked: LoopCandidates, count: int) -> Bool[np.ndarray, "N K"]:
     """Marks the first `count` candidates of every view seen from the same side and as many from the opposite one."""
     pick = np.zeros(ranked.valid.shape, bool)
@@ -231,18 +189,8 @@ def best_of_each_direction(ranked: LoopCandidates, count: int) -> Bool[np.ndarra
     return pick
 
 
-def _prefetched(pool: ThreadPoolExecutor, load: Load, frames: list[int]) -> Iterator[tuple[int, Any]]:
-    """Decodes a few frames ahead of the one being described."""
-    waiting = [pool.submit(load, frame) for frame in frames[:PREFETCH]]
-    for k, frame in enumerate(frames):
-        images = waiting.pop(0).result()
-        if k + PREFETCH < len(frames):
-            waiting.append(pool.submit(load, frames[k + PREFETCH]))
-        yield frame, images
-
-
 def verify_pairs(
-    described: Described,
+    landmarks: Landmarks,
     i: Int[np.ndarray, " K"],
     j: Int[np.ndarray, " K"],
     opposing: Bool[np.ndarray, " K"],
@@ -252,7 +200,7 @@ def verify_pairs(
     turn = extractor(config.extractor).turn
 
     @jax.jit
-    def block(query: Described, reference: Described, opposing, keys):
+    def block(query: Landmarks, reference: Landmarks, opposing, keys):
         def one(args):
             ours, theirs, facing, key = args
             turned = jnp.where(facing, turn(theirs.features.descriptors), theirs.features.descriptors)
@@ -275,8 +223,7 @@ def verify_pairs(
         return jax.lax.map(one, (query, reference, opposing, keys))
 
     def take(rows):
-        light = dataclasses.replace(described, view=None, floor=None, place_map=None)
-        return jax.tree.map(lambda leaf: leaf[rows], light)
+        return jax.tree.map(lambda leaf: leaf[rows], landmarks)
 
     keys = jax.random.split(jax.random.key(config.seed), max(len(i), 1))
     results = []

@@ -1,8 +1,8 @@
 """Which measured candidates become loop closures, and why the others do not.
 
-In order: enough agreeing matches; a measurement that is certain enough; agreement with the odometry walked in between; the
-largest set that agrees with itself (pairwise consistency); then the best of each stretch of path, or the best `top` spread along it.
-Every candidate leaves with one reason.
+In order: enough agreeing matches; a measurement that is certain enough; agreement with the odometry walked in between;
+the best of each stretch of path; the largest set that agrees with itself (pairwise consistency); the best `top` spread
+along the path. Every candidate leaves with one reason.
 """
 
 import dataclasses
@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int
 from ebjax.posegraph.consistency import consistent_set
 
 KEPT = "kept"
+THINNED = "a better closure is near on the path"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -22,7 +23,7 @@ class SelectConfig:
     min_inliers: int = 20
     """Matches that agree on one motion, at least."""
     min_inlier_ratio: float = 0.4
-    """Share of the matches that agree, at least: repeated tiles make many matches agree on a wrong motion, but not most."""
+    """Share of the matches that agree, at least: repeated tiles make many agree on a wrong motion, but not most."""
     max_sigma_m: float = 0.03
     """Largest standard deviation of the measured position, m."""
     max_sigma_deg: float = 0.5
@@ -109,11 +110,11 @@ def select(
         lambda k: f"contradicts odometry by {contradiction[k]:.1f} sigma",
     )
     alive = np.flatnonzero(reasons == "")
-    # Before the exact search, thin out: neighbours on the path say the same thing, and the search grows with their number.
+    # Thinned out before the exact search: neighbours on the path say the same thing, and the search grows fast.
     travelled = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(odom_from_base[:, :2], axis=0), axis=1))])
     quality = candidates.inliers * ratio
     chosen = best_per_stretch(travelled[candidates.i[alive]], quality[alive], config.spacing_m)
-    reject(np.isin(np.arange(count), alive[~chosen]), "a better closure is near on the path")
+    reject(np.isin(np.arange(count), alive[~chosen]), THINNED)
     alive = alive[chosen]
     agreed = consistent_set(
         odom_from_base,

@@ -1,7 +1,7 @@
-"""Which part of the floor a run looks at: the floor view of its camera, chosen from the geometry or given by four points.
+"""Which part of the floor a run looks at: chosen from the camera's geometry, or given by four image points.
 
-The view is metric either way: its pixels map to the floor in base by `floor_from_view`. With `from_camera` that is a scale; with
-`from_quad` (the paper's way) the image of the view is what the four points say, and the camera only says where it lies.
+The view is metric either way: its pixels map to the floor in base by `floor_from_view`. With `from_camera` that is a
+scale; with `from_quad` (the paper's way) four points say what the view shows, and the camera only says where it lies.
 """
 
 import dataclasses
@@ -26,7 +26,7 @@ QUAD_PX = 200
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class RunView:
-    """The floor view of a run: view pixel -> image pixel, view pixel -> floor in base (m), and what the camera sees of it."""
+    """The floor view of a run: view pixel -> image pixel, view pixel -> floor in base (m), and what is seen of it."""
 
     image_from_view: Float[Array, "3 3"]
     floor_from_view: Float[Array, "3 3"]
@@ -81,6 +81,20 @@ def from_camera(camera: Camera, floor: FloorView) -> RunView:
     return RunView(homography, jnp.asarray(floor.floor_from_view, homography.dtype), seen)
 
 
+def check_quad(camera: Camera, quad: Float[np.ndarray, "4 2"]) -> None:
+    """Raises ValueError where four image points are no quad in the order that `from_quad` wants."""
+    order = "give far left, far right, near right, near left, as x y each, px"
+    if not np.isfinite(quad).all() or (quad < 0).any() or (quad > [camera.width - 1, camera.height - 1]).any():
+        raise ValueError(f"--quad: a point lies outside the image of {camera.width} x {camera.height} px; {order}")
+    edges = np.roll(quad, -1, axis=0) - quad
+    following = np.roll(edges, -1, axis=0)
+    turns = edges[:, 0] * following[:, 1] - edges[:, 1] * following[:, 0]
+    if (turns < 1.0).any():
+        raise ValueError(f"--quad: the points do not go clockwise round a convex patch; {order}")
+    if quad[:2, 1].mean() >= quad[2:, 1].mean():
+        raise ValueError(f"--quad: the first two points lie below the last two in the image; {order}")
+
+
 def from_quad(
     camera: Camera, quad: Float[np.ndarray, "4 2"], margin: float, size: tuple[int, int] = (QUAD_PX, QUAD_PX)
 ) -> RunView:
@@ -91,13 +105,15 @@ def from_quad(
       quad: (x, y) px in the image.
       margin: how far the view reaches beyond the quad, as a share of its sides, on every side.
       size: (height, width) of the view, px.
+
+    Raises:
+      ValueError: the points do not span a convex patch of floor in that order.
     """
     height, width = size
+    check_quad(camera, quad)
     inner = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float64)
     corners = (inner + margin) / (1 + 2 * margin) * np.array([width - 1, height - 1])
-    homography = from_four_points(
-        jnp.asarray(corners), jnp.asarray(quad, jnp.float64 if jax.config.jax_enable_x64 else jnp.float32)
-    )
+    homography = from_four_points(jnp.asarray(corners), jnp.asarray(quad))
     homography = orient(homography, corners.mean(0))
     seen = field_of_view(homography, size, (camera.height, camera.width), 1.0)
     floor_from_image = jnp.linalg.inv(jnp.asarray(image_from_floor(camera), homography.dtype))

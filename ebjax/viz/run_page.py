@@ -1,4 +1,4 @@
-"""The report of a run as a page for `viz.report`: figures first, then numbers, trajectory, map, matches, rejected ones."""
+"""The report of a run as a page for `viz.report`: numbers, trajectory, map, matches, rejected candidates."""
 
 from collections.abc import Mapping
 from typing import Any

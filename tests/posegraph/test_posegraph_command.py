@@ -1,0 +1,42 @@
+import subprocess
+import sys
+
+import numpy as np
+
+from ebjax.posegraph.g2o import format_g2o, read_g2o
+
+
+def command(*arguments, cwd):
+    return subprocess.run(
+        [sys.executable, "-m", "ebjax.posegraph", *arguments], capture_output=True, text=True, cwd=cwd, check=False
+    )
+
+
+def test_optimises_a_file_and_writes_it_whole(ring, tmp_path):
+    graph, truth = ring(n=30, loops=4)
+    (tmp_path / "graph.g2o").write_text(format_g2o(graph))
+    done = command("graph.g2o", "--out", "out/better.g2o", "--robust", "cauchy", "--strict", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "converged" in done.stdout
+    before, after = next(line for line in done.stdout.splitlines() if line.startswith("cost"))[5:].split(" -> ")
+    assert float(after) < float(before)
+    better, _ = read_g2o(tmp_path / "out" / "better.g2o")
+    error = lambda poses: np.linalg.norm(np.asarray(poses)[:, :2] - truth[:, :2], axis=1).mean()  # noqa: E731
+    assert error(better.poses) < error(graph.poses)
+
+
+def test_bad_input_is_one_line_exit_2_and_no_output(tmp_path):
+    (tmp_path / "bad.g2o").write_text("VERTEX_SE2 0 0 0 0\nEDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n")
+    done = command("bad.g2o", "--out", "out.g2o", cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: bad.g2o:2: edge 0 1 names vertex 1")
+    assert len(done.stderr.splitlines()) == 1
+    assert not (tmp_path / "out.g2o").exists()
+    assert command("absent.g2o", cwd=tmp_path).returncode == 2
+
+
+def test_steps_used_up_is_exit_3_only_when_strict(ring, tmp_path):
+    graph, _ = ring(n=30, loops=4, false_loops=2)
+    (tmp_path / "graph.g2o").write_text(format_g2o(graph))
+    assert command("graph.g2o", "--max-steps", "1", cwd=tmp_path).returncode == 0
+    assert command("graph.g2o", "--max-steps", "1", "--strict", cwd=tmp_path).returncode == 3
