@@ -283,31 +283,9 @@ def _bracket3():
     return out
 
 
+_SE2 = (se2_compose, se2_inverse, se2_exp, se2_log, se2_adjoint, se2_log_jacobian, _se2_normalise)
+_SE3 = (se3_compose, se3_inverse, se3_exp, se3_log, se3_adjoint, se3_log_jacobian, _se3_normalise)
 GROUPS = {
-    "se2": Group(
-        3,
-        3,
-        se2_compose,
-        se2_inverse,
-        se2_exp,
-        se2_log,
-        se2_adjoint,
-        se2_log_jacobian,
-        _se2_normalise,
-        (0.0, 0.0, 0.0),
-        _bracket2(),
-    ),
-    "se3": Group(
-        7,
-        6,
-        se3_compose,
-        se3_inverse,
-        se3_exp,
-        se3_log,
-        se3_adjoint,
-        se3_log_jacobian,
-        _se3_normalise,
-        (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
-        _bracket3(),
-    ),
+    "se2": Group(3, 3, *_SE2, (0.0, 0.0, 0.0), _bracket2()),
+    "se3": Group(7, 6, *_SE3, (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), _bracket3()),
 }

@@ -8,13 +8,14 @@ from pathlib import Path
 
 
 def read_text(path: str | Path) -> str:
-    """Reads a UTF-8 text file, unpacking gzip by content.
+    """Reads a UTF-8 text file, unpacking gzip by content; where only `path`.gz is there, that.
 
     Raises:
       FileNotFoundError: there is no such file.
       ValueError: damaged gzip, or not text.
     """
-    content = Path(path).read_bytes()
+    path, packed = Path(path), Path(f"{path}.gz")
+    content = (packed if packed.is_file() and not path.exists() else path).read_bytes()
     try:
         if content[:2] == b"\x1f\x8b":
             content = gzip.decompress(content)

@@ -42,9 +42,7 @@ def _transform(values: Float[Array, "h w D"]) -> Complex[Array, "L M D"]:
     return jnp.fft.rfft2(values, _padded(values.shape), axes=(0, 1))
 
 
-def _to_shifts(
-    spectrum: Complex[Array, "*n L M"], size: tuple[int, ...], *, opposing: bool
-) -> Float[Array, "*n P Q"]:
+def _to_shifts(spectrum: Complex[Array, "*n L M"], size: tuple[int, ...], *, opposing: bool) -> Float[Array, "*n P Q"]:
     """Back from frequencies to shifts (signed, wrapped); a product without conjugate correlates with the reversed map."""
     values = jnp.fft.irfft2(spectrum, _padded(size))
     return jnp.roll(values, (1 - size[0], 1 - size[1]), axis=(-2, -1)) if opposing else values

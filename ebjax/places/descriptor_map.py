@@ -81,20 +81,22 @@ def learn_space(views: Float[Array, "N h w D0"], mask: Bool[Array, "h w"], chann
     itself, which makes parity exact. Computed in float32 at least.
     """
     dtype = jnp.promote_types(views.dtype, jnp.float32)
-    count = mask.astype(dtype)
-    mean = jnp.mean(views, axis=0, dtype=dtype)
+    count, dimension = mask.astype(dtype), views.shape[-1]
 
-    def add(total, view):
-        halves = _halves((view.astype(dtype) - mean) * count[..., None])
-        rows = halves.reshape(2, -1, halves.shape[-1])
-        return total + jnp.swapaxes(rows, 1, 2) @ rows, None
+    def add_view(total, view):
+        return total + view.astype(dtype), None
 
-    half = views.shape[-1] // 2
-    covariance, _ = jax.lax.scan(add, jnp.zeros((2, half, half), dtype), views)
-    values, vectors = jnp.linalg.eigh(covariance / (len(views) * jnp.maximum(count.sum(), 1)))
+    def add_products(total, view):
+        rows = ((view.astype(dtype) - mean) * count[..., None]).reshape(-1, dimension)
+        return total + rows.T @ rows, None
+
+    mean = jax.lax.scan(add_view, jnp.zeros(views.shape[1:], dtype), views)[0] / len(views)
+    products, _ = jax.lax.scan(add_products, jnp.zeros((dimension, dimension), dtype), views)
+    blocks = [_halves(half.T)[way] for way, half in enumerate(_halves(products))]
+    values, vectors = jnp.linalg.eigh(jnp.stack(blocks) / (len(views) * jnp.maximum(count.sum(), 1)))
     _, order = jax.lax.top_k(values.reshape(-1), channels)
     basis = jnp.concatenate([_whole(vectors[0].T, 1.0), _whole(vectors[1].T, -1.0)])[order]
-    parity = jnp.where(order < half, 1, -1).astype(dtype)
+    parity = jnp.where(order < dimension // 2, 1, -1).astype(dtype)
     return MapSpace(mean, basis.T, parity, count)
 
 

@@ -4,6 +4,8 @@ A later view counts as a query if an earlier one faces it (headings within 25 de
 the centres of the two floor views lie within the radius. R@1 is the share of queries whose first candidate is such a view.
 """
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -60,3 +62,17 @@ def precision_100(score: Float[np.ndarray, "N"], right: Bool[np.ndarray, "N"]) -
     order = np.argsort(-score, kind="stable")
     wrong = ~right[order]
     return float((np.argmax(wrong) if wrong.any() else len(score)) / len(score))
+
+
+def recall_at(
+    ranked: Sequence[Sequence[int]], accepted: Mapping[int, Sequence[int]], k: int
+) -> tuple[float | None, int]:
+    """R@k of image retrieval: the share of queries with an accepted reference among their first k, and their number.
+
+    Args:
+      ranked: of every query, its references, best first.
+      accepted: query -> references that show its place; queries without any do not count.
+      k: candidates that are looked at.
+    """
+    found = [bool(set(ranked[query][:k]) & set(references)) for query, references in accepted.items() if references]
+    return (sum(found) / len(found) if found else None), len(found)

@@ -112,9 +112,7 @@ def search(
     cut = dense_maps[:, rows, columns]
     sample = np.unique(np.linspace(0, views - 1, min(views, SAMPLE_VIEWS)).round().astype(int))
     space = learn_space(cut[sample], mask[rows, columns], CHANNELS)
-    blocks = [
-        np.asarray(_project_block(cut[np.arange(k, k + BLOCK) % views], space)) for k in range(0, views, BLOCK)
-    ]
+    blocks = [np.asarray(_project_block(cut[np.arange(k, k + BLOCK) % views], space)) for k in range(0, views, BLOCK)]
     maps = jnp.asarray(np.concatenate(blocks)[:views])
     asked = np.arange(views, dtype=np.int32) if queries is None else queries.astype(np.int32)
     cosine, j = shortlist(global_descriptors(maps, space, seed=seed), asked, allowed, k=top)

@@ -43,6 +43,13 @@ def test_kitti_round_trip_and_gzip(tmp_path, poses):
     np.testing.assert_allclose(back.poses, poses, atol=1e-11)
 
 
+def test_a_packed_neighbour_stands_in(tmp_path, poses):
+    write_kitti(tmp_path / "a.kitti", poses)
+    (tmp_path / "a.kitti.gz").write_bytes(gzip.compress((tmp_path / "a.kitti").read_bytes()))
+    (tmp_path / "a.kitti").unlink()
+    assert len(read(tmp_path / "a.kitti").poses) == len(poses)
+
+
 def test_planar_rows_and_g2o_vertices_agree(tmp_path):
     (tmp_path / "a.txt").write_text("1 2 90\n3 4 -180\n")
     (tmp_path / "a.g2o").write_text(

@@ -28,16 +28,28 @@ def corridor(n=600, closures=40, bad=0, seed=0):
 
 
 def test_cycles_of_good_closures_are_chi_square_distributed():
-    distances = []
-    for seed in range(5):
-        odometry, i, j, measured, covariance = corridor(seed=seed)
-        sigmas = jnp.broadcast_to(jnp.asarray(SIGMAS), (len(odometry) - 1, 3))
-        d = cycle_distances(odometry, sigmas, jnp.asarray(i), jnp.asarray(j), measured, jnp.asarray(covariance))
-        assert abs(np.diag(d)).max() < 1e-15
-        np.testing.assert_allclose(d, d.T, rtol=0.1, atol=1e-3)
-        distances.append(np.asarray(d)[np.triu_indices(len(i), 1)])
-    assert 2 < np.mean(distances) < 4.2
-    assert np.mean(np.concatenate(distances) > CHI2_99) < 0.04
+    n, runs, rng = 600, 400, np.random.default_rng(0)
+    step = np.zeros((n - 1, 3))
+    step[:, 0], step[n // 2 - 1, 2] = 0.05, np.pi
+    start = jnp.zeros((1, 3))
+    walk = jax.jit(lambda s: jax.lax.scan(lambda p, d: (se2_compose(p, d),) * 2, start[0], s)[1])
+    truth = jnp.concatenate([start, walk(jnp.asarray(step))])
+    i, j = jnp.array([10, 250, 100]), jnp.array([580, 340, 480])
+    measured = se2_compose(se2_inverse(truth[i]), truth[j])
+    sigmas = jnp.broadcast_to(jnp.asarray(SIGMAS), step.shape)
+    covariance = jnp.broadcast_to(jnp.diag(jnp.asarray(CLOSURE**2)), (3, 3, 3))
+
+    def once(step_error, error):
+        odometry = jnp.concatenate([start, walk(step + step_error)])
+        return cycle_distances(odometry, sigmas, i, j, se2_compose(measured, se2_exp(error)), covariance)
+
+    errors = rng.normal(size=(runs, n - 1, 3)) * SIGMAS, rng.normal(size=(runs, 3, 3)) * CLOSURE
+    distances = np.asarray(jax.jit(jax.vmap(once))(*map(jnp.asarray, errors)))
+    assert abs(distances[:, range(3), range(3)]).max() < 1e-15
+    np.testing.assert_allclose(distances, distances.swapaxes(1, 2), rtol=0.1, atol=1e-2)
+    apart = distances[:, [0, 0, 1], [1, 2, 2]]
+    np.testing.assert_allclose(apart.mean(0), 3, atol=0.5)
+    assert abs(np.mean(apart > CHI2_99) - 0.01) < 0.012
 
 
 def test_keeps_the_good_and_drops_the_bad():

@@ -1,0 +1,275 @@
+"""`python -m ebjax.places DATABASE QUERIES --raw --out DIR`: finds the places of images among others, by their floor."""
+
+import csv
+import json
+import math
+import re
+import sys
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import tyro
+
+from ebjax.command import dump_config, progress, run
+from ebjax.geometry.camera import Camera, camera_over_floor
+from ebjax.geometry.warp import Taps, taps
+from ebjax.io.atomic import whole_file
+from ebjax.io.camera_file import read_camera
+from ebjax.io.images import BrokenFrame, read_image
+from ebjax.io.text import read_text
+from ebjax.places.descriptor_map import MIN_SUPPORT, dense
+from ebjax.places.recall import recall_at
+from ebjax.places.search import SHORTLIST, search
+from ebjax.slam.describe import LUMA, SUPERSAMPLE, floor_view, view_taps
+from ebjax.slam.view import choose_floor, from_camera, from_quad
+
+Quad = tuple[float, float, float, float, float, float, float, float]
+SUFFIXES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm"}
+COLUMNS = ("query", "rank", "name", "direction", "distance")
+RAW_PX = 200
+
+
+@dataclass(frozen=True)
+class PlacesConfig:
+    """Ranks the images of one folder for every image of another, seen from the same or the opposite side.
+
+    Say how to look at the floor: --camera, --quad or --raw. Components and vocabulary are learned from all images given.
+    """
+
+    database: tyro.conf.Positional[Path]
+    """Folder of reference images."""
+    queries: tyro.conf.Positional[Path]
+    """Folder of query images; the same folder again compares every image with all others."""
+    out: Path = Path("runs/places")
+    """Folder for ranked.csv."""
+    camera: Path | None = None
+    """camera.json; the floor view follows from it."""
+    quad: Quad | None = None
+    """Four image points of a rectangle on the floor, px: far left, far right, near right, near left (x y each)."""
+    quad_margin: float = 0.5
+    """How far the floor view reaches beyond the quad, as a share of its sides."""
+    raw: bool = False
+    """Compare whole images, resized, not floor views."""
+    metres_per_px: float = 0.01
+    """Of the floor view of --camera, m."""
+    opposing: Literal["both", "only", "none"] = "both"
+    """Look for places seen from the same and the opposite side, from the opposite side only, or from the same only."""
+    ranking: Literal["correlation", "cosine"] = "correlation"
+    """Shift-maximised correlation of maps, or the paper's cosine of global descriptors."""
+    top: int = 20
+    """Candidates written for each query."""
+    truth: Path | None = None
+    """JSON object: number of a query -> list of the numbers of accepted references, counted from 0 in natural order."""
+    seed: int = 0
+    """Of the vocabulary."""
+
+
+def natural(path: Path) -> list[tuple[int, int, str]]:
+    """A key that sorts img2 before img10."""
+    parts = re.split(r"(\d+)", path.name)
+    return [(1, int(part), part) if part.isdecimal() else (0, 0, part.lower()) for part in parts]
+
+
+def list_images(folder: Path) -> list[Path]:
+    """The images of a folder in natural order.
+
+    Raises:
+      ValueError: no folder, or no image in it.
+    """
+    if not folder.is_dir():
+        raise ValueError(f"{folder}: not a folder; give a folder of images")
+    files = [file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES and file.is_file()]
+    if not files:
+        raise ValueError(f"{folder}: no images in it; give a folder of JPEG or PNG files")
+    return sorted(files, key=natural)
+
+
+def read_truth(path: Path, queries: int, references: int) -> dict[int, list[int]]:
+    """Reads which references are accepted for each query.
+
+    Raises:
+      ValueError: not such a JSON object, or a number beyond the images; names file and key.
+    """
+    try:
+        values = json.loads(read_text(path))
+    except json.JSONDecodeError as error:
+        raise ValueError(f"{path} line {error.lineno}: not JSON ({error.msg}); correct the file") from None
+    if not isinstance(values, dict):
+        raise ValueError(f"{path}: not a JSON object; write {{query number: [reference numbers]}}")
+    truth = {}
+    for key, row in values.items():
+        if not key.isdecimal() or int(key) >= queries:
+            raise ValueError(f"{path}: key {key!r} is not the number of a query, 0 to {queries - 1}; correct it")
+        if not isinstance(row, list) or not all(type(n) is int and 0 <= n < references for n in row):
+            raise ValueError(
+                f"{path}: key {key!r} is not a list of reference numbers, 0 to {references - 1}; correct it"
+            )
+        truth[int(key)] = row
+    return truth
+
+
+class Looker:
+    """Turns images into dense place maps of their floor views; fixed by the first readable image's size."""
+
+    def __init__(self, config: PlacesConfig):
+        """Raises ValueError unless exactly one way to look at the floor is given."""
+        ways = (config.camera is not None) + (config.quad is not None) + config.raw
+        if ways != 1:
+            raise ValueError(f"{ways} of --camera, --quad and --raw are given; give one")
+        self.config = config
+        self.file = read_camera(config.camera, depth=False) if config.camera is not None else None
+        self.size = (self.file.width, self.file.height) if self.file else None
+        self.samples: Taps | None = None
+        self.seen = jnp.zeros((0, 0))
+
+    def look(self, path: Path) -> np.ndarray:
+        """The dense map of an image's view, float16.
+
+        Raises:
+          BrokenFrame: the image cannot be read.
+          ValueError: it has another size than the camera or the first image.
+        """
+        image = read_image(path)
+        size = image.shape[1], image.shape[0]
+        if self.samples is None:
+            self._prepare(size)
+        if size != self.size and not self.config.raw:
+            source = self.config.camera or "the first image"
+            assert self.size is not None
+            raise ValueError(
+                f"{path}: {size[0]}x{size[1]} pixels, but {source} says {self.size[0]}x{self.size[1]}; "
+                "give images of one camera at its full size"
+            )
+        samples = _whole_image(size, self.seen.shape) if self.config.raw else self.samples
+        return np.asarray(_dense_view(image, samples, self.seen))
+
+    def _prepare(self, size: tuple[int, int]) -> None:
+        if self.config.raw:
+            scale = RAW_PX / max(size)
+            view_size = round(size[1] * scale), round(size[0] * scale)
+            self.samples, self.seen = _whole_image(size, view_size), jnp.ones(view_size, jnp.float32)
+            return
+        if self.file is not None:
+            camera = Camera(
+                jnp.asarray(self.file.intrinsics),
+                jnp.asarray(self.file.base_from_camera),
+                self.file.width,
+                self.file.height,
+            )
+            try:
+                view = from_camera(camera, choose_floor(camera, self.config.metres_per_px))
+            except ValueError as fault:
+                raise ValueError(f"{self.config.camera}: {fault}") from None
+        else:
+            # The quad alone fixes the view; only its place on the floor in metres, unused here, needs a camera.
+            camera = camera_over_floor(500.0, 500.0, 0.0, 0.0, *size, 1.0, 0.5)
+            view = from_quad(camera, np.array(self.config.quad, np.float64).reshape(4, 2), self.config.quad_margin)
+        self.size, self.samples, self.seen = (
+            size if self.file is None else self.size,
+            view_taps(view, camera),
+            view.seen,
+        )
+        self.seen = self.seen.astype(jnp.float32)
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _whole_image(size: tuple[int, int], view_size: tuple[int, int]) -> Taps:
+    fine = SUPERSAMPLE * view_size[0], SUPERSAMPLE * view_size[1]
+    sx, sy = size[0] / fine[1], size[1] / fine[0]
+    # Outermost samples lie half a sample inside the image's border, where a bilinear read would fade to black.
+    return taps(jnp.array([[sx, 0, (sx - 1) / 2], [0, sy, (sy - 1) / 2], [0, 0, 1]], jnp.float32), fine, size[::-1])
+
+
+@jax.jit
+def _dense_view(image, samples: Taps, seen):
+    grey = floor_view(image, samples) @ jnp.asarray(LUMA, jnp.float32)
+    return dense(grey, seen)[0].astype(jnp.float16)
+
+
+@jax.jit
+def _support(seen):
+    return dense(jnp.zeros_like(seen), seen)[1]
+
+
+def look_at_all(paths: list[Path], looker: Looker, label: str) -> tuple[np.ndarray, list[int], list[str]]:
+    """Dense maps of the readable images, their numbers, and what is wrong with the others.
+
+    Raises:
+      ValueError: none is readable.
+    """
+    maps, numbers, broken = [], [], []
+    for number, path in enumerate(progress(paths, len(paths), label)):
+        try:
+            maps.append(looker.look(path))
+        except BrokenFrame as fault:
+            broken.append(" ".join(str(fault).split()))
+            continue
+        numbers.append(number)
+    if not maps:
+        raise ValueError(f"{paths[0].parent}: none of {len(paths)} images can be read ({broken[0]})")
+    return np.stack(maps), numbers, broken
+
+
+def main(config: PlacesConfig) -> None:
+    """Reads, ranks, writes ranked.csv and prints R@1 and R@5 if the truth is given."""
+    if config.top < 1:
+        raise ValueError(f"--top is {config.top}; give a number of candidates, 1 or more")
+    looker = Looker(config)
+    names = [list_images(config.database)]
+    same_folder = config.database.resolve() == config.queries.resolve()
+    names.append(names[0] if same_folder else list_images(config.queries))
+    truth = read_truth(config.truth, len(names[1]), len(names[0])) if config.truth is not None else None
+    references, numbers, broken = look_at_all(names[0], looker, "database")
+    maps, asked = references, numbers
+    if not same_folder:
+        ours, asked, more = look_at_all(names[1], looker, "queries")
+        maps, broken = np.concatenate([references, ours]), broken + more
+    for fault in broken:
+        print(f"skipped: {fault}", file=sys.stderr)
+
+    rows = np.arange(len(maps) - len(asked), len(maps))
+    allowed = np.zeros((len(rows), len(maps), 2), bool)
+    allowed[:, : len(references)] = np.array([config.opposing != "only", config.opposing != "none"])[None, None, :]
+    if same_folder:
+        allowed[np.arange(len(rows)), rows] = False
+    found = jax.tree.map(
+        np.asarray,
+        search(
+            maps,
+            _support(looker.seen),
+            jnp.asarray(allowed),
+            ranking=config.ranking,
+            min_support=MIN_SUPPORT,
+            seed=config.seed,
+            queries=rows,
+            top=max(SHORTLIST, config.top),
+        ),
+    )
+    ranked: list[list[int]] = [[] for _ in names[1]]
+    with whole_file(config.out / "ranked.csv") as file:
+        table = csv.writer(file, lineterminator="\n")
+        table.writerow(COLUMNS)
+        for row, query in enumerate(asked):
+            for rank in range(min(config.top, int(found.valid[row].sum()))):
+                reference = numbers[found.j[row, rank]]
+                ranked[query].append(reference)
+                direction = "opposing" if found.opposing[row, rank] else "same"
+                name, distance = names[0][reference].name, float(found.distance[row, rank])
+                table.writerow((names[1][query].name, rank + 1, name, direction, f"{distance:.6f}"))
+    dump_config(config, config.out / "config.yaml")
+    print(
+        f"{len(asked)} queries among {len(numbers)} references, {len(broken)} images skipped: {config.out / 'ranked.csv'}"
+    )
+    if truth is not None:
+        recalls = [(k, *recall_at(ranked, truth, k)) for k in (1, 5)]
+        shown = "  ".join(f"R@{k} {math.nan if share is None else 100 * share:.1f} %" for k, share, _ in recalls)
+        print(f"{shown}  of {recalls[0][2]} queries with an accepted reference (skipped ones count as not found)")
+
+
+if __name__ == "__main__":
+    run(main, PlacesConfig)

@@ -1,0 +1,195 @@
+import csv
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from ebjax.command import parse, run
+from ebjax.io.trajectory import read_tum
+from ebjax.posegraph.g2o import read_g2o
+from ebjax.slam.__main__ import Config, main
+
+
+def slam(sequence, out, *flags):
+    run(main, Config, [str(sequence), "--out", str(out), *flags])
+    return json.loads((out / "metrics.json").read_text())
+
+
+def refused(capsys, sequence, out, *flags):
+    """The one line of a run that is refused with exit code 2 and leaves nothing."""
+    with pytest.raises(SystemExit) as stop:
+        run(main, Config, [str(sequence), "--out", str(out), *flags])
+    assert stop.value.code == 2
+    assert not out.exists()
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1
+    assert lines[0].startswith("error: ")
+    return lines[0]
+
+
+def edit_json(path, **changes):
+    values = json.loads(path.read_text()) | changes
+    path.write_text(json.dumps({key: value for key, value in values.items() if value is not None}))
+
+
+def keep_lines(path, count):
+    path.write_text("".join(path.read_text().splitlines(keepends=True)[:count]))
+
+
+def test_closes_the_loop_of_the_way_back(rendered, tmp_path, capsys):
+    out = tmp_path / "run"
+    metrics = slam(rendered, out)
+    truth = metrics["closures_against_truth"]
+    assert metrics["closures_kept"] >= 3
+    assert metrics["closures_opposing"] == metrics["closures_kept"]
+    assert truth["within_5cm_1deg"] == truth["checked"] == metrics["closures_kept"]
+    assert metrics["ate_rmse_m"]["after"] < 0.3 * metrics["ate_rmse_m"]["before"]
+    assert metrics["recall_at_1_1m"] >= 0.8
+    assert "loop closures kept" in capsys.readouterr().out
+
+    trajectory = read_tum(out / "trajectory.tum")
+    odometry = read_tum(rendered / "odometry.txt")
+    assert len(trajectory.poses) == metrics["frames"] == len(odometry.poses)
+    np.testing.assert_allclose(trajectory.poses[0], odometry.poses[0], atol=1e-6)
+    with open(out / "loop_closures.csv") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == metrics["candidates"]
+    assert sum(int(row["kept"]) for row in rows) == metrics["closures_kept"]
+    assert all(row["reason"] for row in rows)
+    graph, _ = read_g2o(out / "pose_graph.g2o")
+    assert len(graph.i) == metrics["frames"] - 1 + metrics["closures_kept"]
+    page = (out / "report.html").read_text()
+    assert "http" not in page.split("<body>")[1]
+    assert cv2.imread(str(out / "floor_map.png")) is not None
+    assert parse(Config, ["--config", str(out / "config.yaml")]).sequence == rendered
+
+
+def test_without_depth_and_from_a_quad(rendered, tmp_path):
+    floor = slam(rendered, tmp_path / "floor", "--depth", "none")
+    assert floor["closures_by_depth"] == 0
+    assert floor["closures_kept"] >= 3
+    assert floor["closures_against_truth"]["within_5cm_1deg"] == floor["closures_kept"]
+    quad = slam(rendered, tmp_path / "quad", *"--quad 180 250 460 250 600 440 40 440".split())
+    assert quad["closures_by_depth"] == quad["closures_kept"] > 0
+    assert quad["closures_against_truth"]["within_5cm_1deg"] == quad["closures_kept"]
+
+
+def test_the_floor_from_depth_is_the_camera_s(rendered, tmp_path, capsys):
+    metrics = slam(rendered, tmp_path / "run", "--floor", "depth")
+    assert "pitch 19.0" in capsys.readouterr().out
+    assert metrics["closures_kept"] >= 3
+
+
+def test_top_keeps_so_many(rendered, tmp_path):
+    assert slam(rendered, tmp_path / "run", "--select.top", "2")["closures_kept"] == 2
+
+
+@pytest.mark.parametrize("extractor", ["sift", "orb"])
+def test_other_features_keep_no_wrong_closure(rendered, tmp_path, extractor):
+    metrics = slam(rendered, tmp_path / "run", "--extractor", extractor, "--ranking", "cosine")
+    truth = metrics.get("closures_against_truth", {"within_5cm_1deg": 0, "checked": 0})
+    assert truth["within_5cm_1deg"] == truth["checked"]
+
+
+def test_nothing_repeats_on_the_way_out(sequence, tmp_path):
+    keep_lines(sequence / "rgb.txt", 24)
+    metrics = slam(sequence, tmp_path / "run")
+    assert metrics["closures_kept"] == 0
+    assert metrics["pose_graph"]["converged"]
+    trajectory = read_tum(tmp_path / "run" / "trajectory.tum")
+    odometry = read_tum(sequence / "odometry.txt")
+    np.testing.assert_allclose(trajectory.poses, odometry.poses[:24], atol=1e-6)
+
+
+def test_broken_frames_are_skipped_counted_and_named(sequence, tmp_path, capsys):
+    names = [line.split()[1] for line in (sequence / "rgb.txt").read_text().splitlines()]
+    (sequence / names[10]).write_bytes((sequence / names[10]).read_bytes()[:5000])
+    (sequence / names[20]).unlink()
+    metrics = slam(sequence, tmp_path / "run")
+    assert set(metrics["broken_frames"]) == {names[10], names[20]}
+    assert metrics["closures_kept"] >= 3
+    printed = capsys.readouterr().out
+    assert names[10] in printed
+    assert names[20] in printed
+
+
+def test_a_run_that_cannot_be_read_is_refused(sequence, tmp_path, capsys):
+    names = [line.split()[1] for line in (sequence / "rgb.txt").read_text().splitlines()]
+    for name in names[2:]:
+        (sequence / name).write_bytes(b"\xff\xd8 not a picture")
+    assert "rgb.txt" in refused(capsys, sequence, tmp_path / "run")
+    for name in names[:2]:
+        (sequence / name).unlink()
+    line = refused(capsys, sequence, tmp_path / "run")
+    assert "rgb.txt" in line
+    assert names[0] in line
+
+
+def test_depth_without_a_number_is_refused(sequence, tmp_path, capsys):
+    for file in (sequence / "depth").iterdir():
+        cv2.imwrite(str(file), np.zeros((480, 640), np.uint16))
+    line = refused(capsys, sequence, tmp_path / "run")
+    assert "depth.txt" in line
+    assert "--depth none" in line
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (lambda s: edit_json(s / "camera.json", fx=None), ["camera.json", "'fx'"]),
+        (lambda s: edit_json(s / "camera.json", T_base_camera=None), ["camera.json", "'T_base_camera'"]),
+        (lambda s: keep_lines(s / "odometry.txt", 20), ["odometry.txt", "of 5", "--min-coverage"]),
+        (lambda s: keep_lines(s / "rgb.txt", 0), ["rgb.txt", "no frames"]),
+        (lambda s: keep_lines(s / "rgb.txt", 1), ["rgb.txt", "one frame"]),
+        (lambda s: (s / "camera.json").unlink(), ["camera.json"]),
+    ],
+)
+def test_bad_sequences_are_named(sequence, tmp_path, capsys, spoil, words):
+    spoil(sequence)
+    line = refused(capsys, sequence, tmp_path / "run")
+    assert all(word in line for word in words), line
+
+
+@pytest.mark.parametrize(
+    ("flags", "word"),
+    [
+        (["--quad", "1", "1", "2", "2", "3", "3", "4", "4"], "clockwise"),
+        (["--quad", "180", "299", "460", "290", "9000", "443", "66", "462"], "outside"),
+        (["--view", "3", "1", "-1", "1"], "x_min"),
+        (["--extractor", "surf9"], "surf9"),
+        (["--no-such-flag", "1"], "no-such-flag"),
+    ],
+)
+def test_bad_flags_are_named(rendered, tmp_path, capsys, flags, word):
+    assert word in refused(capsys, rendered, tmp_path / "run", *flags)
+
+
+def test_the_real_corridor(data, tmp_path):
+    metrics = slam(data("corridor_rgbd"), tmp_path / "run")
+    assert metrics["ate_rmse_m"]["before"] == pytest.approx(0.82, abs=0.005)
+    assert metrics["ate_rmse_m"]["after"] <= 0.03
+    assert metrics["recall_at_1_1m"] >= 0.95
+    assert metrics["closures_kept"] >= 14
+    assert metrics["closures_against_truth"]["within_5cm_1deg"] == metrics["closures_kept"]
+
+
+def test_the_real_corridor_by_its_floor_alone(data, tmp_path):
+    assert slam(data("corridor_rgbd"), tmp_path / "run", "--depth", "none")["ate_rmse_m"]["after"] <= 0.04
+
+
+def test_the_real_corridor_from_four_points(data, tmp_path):
+    quad = "--quad 180 299 460 290 585 443 66 462".split()
+    assert slam(data("corridor_rgbd"), tmp_path / "run", *quad)["ate_rmse_m"]["after"] <= 0.05
+
+
+def test_half_the_real_corridor_closes_nothing(data, tmp_path):
+    real = data("corridor_rgbd")
+    half = tmp_path / "half"
+    half.mkdir()
+    for name in ("camera.json", "odometry.txt", "groundtruth.txt", "depth.txt", "rgb.txt"):
+        (half / name).write_text((real / name).read_text())
+    keep_lines(half / "rgb.txt", 80)
+    for name in ("rgb", "depth"):
+        (half / name).symlink_to(real.resolve() / name)
+    assert slam(half, tmp_path / "run")["closures_kept"] == 0
