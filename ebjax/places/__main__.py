@@ -1,4 +1,4 @@
-"""`python -m ebjax.places DATABASE QUERIES --raw --out DIR`: finds the places of images among others, by their floor."""
+"""`python -m ebjax.places DATABASE QUERIES --camera FILE --out DIR`: finds images of the same floor among others."""
 
 import csv
 import json
@@ -38,7 +38,7 @@ RAW_PX = 200
 class PlacesConfig:
     """Ranks the images of one folder for every image of another, seen from the same or the opposite side.
 
-    Say how to look at the floor: --camera, --quad or --raw. Components and vocabulary are learned from all images given.
+    Say how to look at the floor: --camera, --quad or --raw. Components and vocabulary are learned from all the images.
     """
 
     database: tyro.conf.Positional[Path]
@@ -145,14 +145,15 @@ class Looker:
                 f"{path}: {size[0]}x{size[1]} pixels, but {source} says {self.size[0]}x{self.size[1]}; "
                 "give images of one camera at its full size"
             )
-        samples = _whole_image(size, self.seen.shape) if self.config.raw else self.samples
+        samples = self.samples if size == self.size else _whole_image(size, self.seen.shape)
         return np.asarray(_dense_view(image, samples, self.seen))
 
     def _prepare(self, size: tuple[int, int]) -> None:
         if self.config.raw:
             scale = RAW_PX / max(size)
             view_size = round(size[1] * scale), round(size[0] * scale)
-            self.samples, self.seen = _whole_image(size, view_size), jnp.ones(view_size, jnp.float32)
+            self.size, self.seen = size, jnp.ones(view_size, jnp.float32)
+            self.samples = _whole_image(size, view_size)
             return
         if self.file is not None:
             camera = Camera(
@@ -169,12 +170,8 @@ class Looker:
             # The quad alone fixes the view; only its place on the floor in metres, unused here, needs a camera.
             camera = camera_over_floor(500.0, 500.0, 0.0, 0.0, *size, 1.0, 0.5)
             view = from_quad(camera, np.array(self.config.quad, np.float64).reshape(4, 2), self.config.quad_margin)
-        self.size, self.samples, self.seen = (
-            size if self.file is None else self.size,
-            view_taps(view, camera),
-            view.seen,
-        )
-        self.seen = self.seen.astype(jnp.float32)
+        self.size = camera.width, camera.height
+        self.samples, self.seen = view_taps(view, camera), view.seen.astype(jnp.float32)
 
 
 @partial(jax.jit, static_argnums=(0, 1))
@@ -262,9 +259,8 @@ def main(config: PlacesConfig) -> None:
                 name, distance = names[0][reference].name, float(found.distance[row, rank])
                 table.writerow((names[1][query].name, rank + 1, name, direction, f"{distance:.6f}"))
     dump_config(config, config.out / "config.yaml")
-    print(
-        f"{len(asked)} queries among {len(numbers)} references, {len(broken)} images skipped: {config.out / 'ranked.csv'}"
-    )
+    written = config.out / "ranked.csv"
+    print(f"{len(asked)} queries, {len(numbers)} references, {len(broken)} images skipped: {written}")
     if truth is not None:
         recalls = [(k, *recall_at(ranked, truth, k)) for k in (1, 5)]
         shown = "  ".join(f"R@{k} {math.nan if share is None else 100 * share:.1f} %" for k, share, _ in recalls)

@@ -3,7 +3,7 @@
     score(s) = sum_x <A(x + s), B(x)> / sqrt(sum |A(x + s)|^2 sum |B(x)|^2) * overlap(s)^OVERLAP_POWER
 
 over the cells x that both views see, for all shifts s at once by FFT; B is the reference map, or that map turned by pi.
-The best shift is a first measurement of the loop. Both directions share one spectrum per view: turning by pi conjugates it.
+The best shift is a first measurement of the loop. Both directions share a spectrum: turning by pi conjugates it.
 """
 
 import dataclasses
@@ -25,7 +25,7 @@ MIN_OVERLAP = 0.15
 class Spectrum:
     """The Fourier transform of a map, zero-padded to twice its size, and its energy in the overlap for every shift.
 
-    `values` has the real parts of all channels, then the imaginary ones: the sums over channels are real matrix products.
+    `values` has the real parts of all channels, then the imaginary ones: sums over channels are real matrix products.
     `as_query` and `as_reference` hold the energy for the same direction ([..., 0]) and the opposing one ([..., 1]).
     """
 
@@ -43,7 +43,7 @@ def _transform(values: Float[Array, "h w D"]) -> Complex[Array, "L M D"]:
 
 
 def _to_shifts(spectrum: Complex[Array, "*n L M"], size: tuple[int, ...], *, opposing: bool) -> Float[Array, "*n P Q"]:
-    """Back from frequencies to shifts (signed, wrapped); a product without conjugate correlates with the reversed map."""
+    """Back from frequencies to shifts, signed and wrapped; unconjugated products correlate with the reversed map."""
     values = jnp.fft.irfft2(spectrum, _padded(size))
     return jnp.roll(values, (1 - size[0], 1 - size[1]), axis=(-2, -1)) if opposing else values
 
@@ -75,8 +75,9 @@ def correlate(
 ) -> tuple[Float[Array, "k"], Int[Array, "k 2"]]:
     """The best score in [-1, 1] of one query with each of k references, and its shift (rows, columns) in cells.
 
-    query(x + shift) lies on reference(x): with the rows of a floor view pointing back and its columns to the right, the
-    query's view is `shift` cells ahead and to the left of the reference's view, which is turned about its centre if opposing.
+    query(x + shift) lies on reference(x). Rows of a floor view run backwards and columns to the right, so the query's
+    view lies `shift` cells of STRIDE_PX ahead and to the left of the reference's, in the query's own heading; an
+    opposing reference is turned about the centre of its view.
 
     Args:
       query: from `spectrum`.

@@ -1,8 +1,9 @@
 """A floor view as a small map of descriptors: rootSIFT at two scales on a grid, projected to the run's own components.
 
-The components are learned from a run's own views, unsupervised: the mean of every grid cell (what all places share: tile
-edges, shading, the robot's shadow) is taken away, and a basis of principal directions is kept without whitening. Every basis
-vector is even or odd under R_pi, so the map of the view turned by pi is the reversed map times a sign per channel.
+The components are learned from a run's own views, unsupervised: the mean of every grid cell (what all places share:
+tile edges, shading, the robot's shadow) is taken away, and a basis of principal directions is kept without whitening.
+Every basis vector is even or odd under R_pi, so the map of the view turned by pi is the reversed map times a sign per
+channel.
 """
 
 import dataclasses
@@ -107,4 +108,5 @@ def project(view: Float[Array, "h w D0"], space: MapSpace) -> Float[Array, "h w 
 
 def rotate_pi_map(values: Float[Array, "*n h w D"], space: MapSpace) -> Float[Array, "*n h w D"]:
     """The projected map of the view turned by pi: cells reversed, channels times their parity."""
-    return values[..., ::-1, ::-1, :] * space.parity
+    reversed_cells = values[..., ::-1, ::-1, :]
+    return reversed_cells * jnp.broadcast_to(space.parity, values.shape)

@@ -1,7 +1,8 @@
 """Recall of loop candidates against ground truth, as DESIGN and the paper count it. NumPy only.
 
-A later view counts as a query if an earlier one faces it (headings within 25 degrees of opposite) and looks at the same floor:
-the centres of the two floor views lie within the radius. R@1 is the share of queries whose first candidate is such a view.
+A later view counts as a query if an earlier one faces it (headings within 25 degrees of opposite) and looks at the same
+floor: the centres of the two floor views lie within the radius. R@1 is the share of queries whose first candidate is
+such a view.
 """
 
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,7 @@
 """Causal retrieval: each view sees only earlier ones, in the same direction and from the opposite side, together.
 
-The shortlist is by cosine of global descriptors, the ranking by shift-maximised correlation of descriptor maps. Both are
-jitted programs over all queries; scores come from images alone, odometry only says which pairs may be compared.
+The shortlist is by cosine of global descriptors, the ranking by shift-maximised correlation of descriptor maps, each
+one jitted program over all queries. Scores come from images alone; odometry only says which pairs may be compared.
 """
 
 import dataclasses
@@ -20,7 +20,7 @@ from ebjax.places.descriptor_map import MapSpace
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class LoopCandidates:
-    """Ranked candidates of every query i: earlier view j, direction, distance (1 - score), shift of the maps in cells."""
+    """Ranked candidates of every query i: view j, direction, distance (1 - score), shift of the maps in cells."""
 
     i: Int[Array, "Q K"]
     j: Int[Array, "Q K"]
@@ -30,14 +30,14 @@ class LoopCandidates:
     valid: Bool[Array, "Q K"]
 
 
-@jax.jit
+@partial(jax.jit, static_argnames=("gap_s", "gap_m"))
 def comparable(
     times_s: Float[Array, "N"], travelled_m: Float[Array, "N"], gap_s: float, gap_m: float
 ) -> Bool[Array, "N N 2"]:
     """Which earlier views j a view i may be compared with, in the same direction ([..., 0]) and opposing ([..., 1]).
 
-    Both leave out a time gap. The same direction also leaves out a travelled distance: until then the views overlap because
-    the robot has hardly moved, which odometry knows better.
+    Both leave out a time gap. The same direction also leaves out a travelled distance: until then the views overlap
+    because the robot has hardly moved, which odometry knows better.
     """
     order = jnp.arange(times_s.shape[0])
     causal = (order[:, None] > order[None, :]) & (times_s[:, None] - times_s[None, :] >= gap_s)
@@ -54,7 +54,8 @@ def cosine_top_k(
     Of equal scores the earlier reference comes first.
     """
     scores = jnp.where(allowed, queries @ references.T, -jnp.inf)
-    return tuple(jax.lax.top_k(scores, min(k, scores.shape[1])))
+    best, index = jax.lax.top_k(scores, min(k, scores.shape[1]))
+    return best, index
 
 
 @partial(jax.jit, static_argnames="k")

@@ -1,7 +1,7 @@
 """Loop candidates of a whole run from its dense place maps: learn the space and the vocabulary, shortlist, rank.
 
-`ranking="correlation"` is the default: VLAD cosine makes a shortlist, shift-maximised correlation ranks it. `ranking="cosine"`
-is the paper's plain single-vector cosine. Every step is one program compiled once for a size; a view then costs about 2 ms.
+`ranking="correlation"` is the default: VLAD cosine makes a shortlist, shift-maximised correlation ranks it.
+`ranking="cosine"` is the paper's plain single-vector cosine. Every step is one program, compiled once a size.
 """
 
 from functools import partial
@@ -34,7 +34,7 @@ def window(mask: Bool[np.ndarray, "r c"]) -> tuple[slice, slice]:
         raise ValueError("no cell of the view is seen well enough to be described; look at more floor")
     slices = []
     for axis in (1, 0):
-        used = mask.any(axis)
+        used = np.asarray(mask.any(axis))
         border = int(min(np.argmax(used), np.argmax(used[::-1])))
         slices.append(slice(border, len(used) - border))
     return slices[0], slices[1]
@@ -66,8 +66,8 @@ def _describe(maps: Float[Array, "N r c D"], centres: Float[Array, "K D"], space
 def global_descriptors(maps: Float[Array, "N r c D"], space: MapSpace, *, seed: int = 0) -> Float[Array, "N V 2"]:
     """VLAD of every view as it is ([..., 0], the query and same-direction reference) and turned by pi ([..., 1]).
 
-    The vocabulary comes from the run's own cells, in both orientations. The mean over the run is taken away, as it is from
-    the maps: it is what all places share.
+    The vocabulary comes from the run's own cells, in both orientations. The mean over the run is taken away, as it is
+    from the maps: it is what all places share.
     """
     host = np.asarray(maps).reshape(len(maps), -1, maps.shape[-1])
     cells = np.flatnonzero(np.asarray(space.mask))

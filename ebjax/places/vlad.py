@@ -1,7 +1,7 @@
 """NetVLAD aggregation of a descriptor map into one vector, with a k-means vocabulary from the run's own views.
 
-Arandjelovic et al., "NetVLAD", CVPR 2016, equations 1 to 4: soft assignment to centres, residual sums, intra-normalisation,
-unit length. A large `alpha` is hard assignment, the VLAD of Jegou et al. 2010.
+Arandjelovic et al., "NetVLAD", CVPR 2016, equations 1 to 4: soft assignment to centres, residual sums,
+intra-normalisation, unit length. A large `alpha` is hard assignment, the VLAD of Jegou et al. 2010.
 """
 
 from functools import partial

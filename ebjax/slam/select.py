@@ -30,6 +30,8 @@ class SelectConfig:
     """Largest standard deviation of the measured heading, degrees."""
     odometry_sigmas: float = 4.0
     """How far a closure may contradict the odometry between its ends, in that odometry's standard deviations."""
+    min_agreeing: int = 2
+    """So many closures must agree with each other, or none is kept: one alone may be an alias."""
     spacing_m: float = 0.4
     """One closure at most for so much path, the one with most agreeing matches."""
     top: int = 0
@@ -127,6 +129,9 @@ def select(
     )
     reject(np.isin(np.arange(count), alive[~agreed]), "contradicts the other closures")
     alive = alive[agreed]
+    if len(alive) < config.min_agreeing:
+        reject(np.isin(np.arange(count), alive), "no other closure supports it")
+        alive = alive[:0]
     if config.top and len(alive) > config.top:
         spread = spread_along(travelled[candidates.i[alive]], quality[alive], config.top)
         reject(np.isin(np.arange(count), alive[~spread]), f"not among the best {config.top} spread along the path")

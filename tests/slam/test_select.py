@@ -69,9 +69,15 @@ def test_every_rejection_has_its_reason(good, changes, word):
 
 def test_neighbours_on_the_path_leave_the_best(good):
     close = true_candidates([(25, 11), (26, 10)])
-    reasons = select(spoiled(close, 1, inliers=70), PATH, Odometry(), SelectConfig(spacing_m=1.0))
+    reasons = select(spoiled(close, 1, inliers=70), PATH, Odometry(), SelectConfig(spacing_m=1.0, min_agreeing=1))
     assert reasons[1] == KEPT
     assert "better closure" in reasons[0]
+
+
+def test_one_alone_is_not_believed():
+    reasons = select(true_candidates([(25, 11)]), PATH, Odometry(), SelectConfig())
+    assert "supports" in reasons[0]
+    assert select(true_candidates([(25, 11)]), PATH, Odometry(), SelectConfig(min_agreeing=1)) == [KEPT]
 
 
 def test_top_spreads(good):
