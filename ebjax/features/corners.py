@@ -20,7 +20,7 @@ def _blur(image: Float[Array, "H W"], times: int) -> Float[Array, "H W"]:
 
 
 def corner_response(grey: Float[Array, "H W"], seen: Bool[Array, "H W"]) -> Float[Array, "H W"]:
-    """The smaller eigenvalue of the structure tensor over a window of about 5 x 5; zero near the edge of the seen part."""
+    """The smaller eigenvalue of the structure tensor over about 5 x 5 pixels; 0 near the edge of the seen part."""
     smooth = _blur(jnp.where(seen, grey, 0), 1)
     gx = jnp.pad((smooth[:, 2:] - smooth[:, :-2]) / 2, ((0, 0), (1, 1)))
     gy = jnp.pad((smooth[2:] - smooth[:-2]) / 2, ((1, 1), (0, 0)))
@@ -30,7 +30,7 @@ def corner_response(grey: Float[Array, "H W"], seen: Bool[Array, "H W"]) -> Floa
 
 
 def _running(image: Float[Array, "H W"], radius: int, combine, fill: float) -> Float[Array, "H W"]:
-    """The maximum or minimum over a square, as two passes of shifted copies (XLA's reduce_window is 30 times slower)."""
+    """The maximum or minimum over a square, by two passes of shifted copies (XLA's reduce_window is 30 times slower)."""
     for axis in (0, 1):
         pad = [(radius, radius) if axis == a else (0, 0) for a in (0, 1)]
         padded, n = jnp.pad(image, pad, constant_values=fill), image.shape[axis]

@@ -1,12 +1,13 @@
 """The loop measurement i_from_j of SE(2) from matched floor points, and its information from their spread.
 
-Two ways to the points: the metric floor (view pixel -> floor, metres) or depth (raw pixel -> 3D, Early Bird eq. 9-11). Either
-way a weighted Kabsch gives the motion, and the residuals and the geometry of the inliers give its covariance:
+Two ways to the points: the metric floor (view pixel -> floor, metres) or depth (raw pixel -> 3D, Early Bird eq.
+9-11). Either way a weighted Kabsch gives the motion, and the residuals and the geometry of the inliers give its
+covariance:
 
     Sigma = sigma^2 (sum_k w_k J_k^T J_k)^-1 + Sigma_0,   J_k = [I, (-y_k, x_k)^T]   (right tangent of i_from_j)
 
-with sigma^2 the weighted mean squared residual per axis. Matches of one view share their errors (camera pose, lens), which
-no number of inliers averages away: Sigma_0 is that floor.
+with sigma^2 the weighted mean squared residual per axis. Matches of one view share their errors (camera pose, lens),
+which no number of inliers averages away: Sigma_0 is that floor.
 """
 
 import dataclasses
@@ -90,9 +91,7 @@ def measure_depth(
     rotation, translation = kabsch(points_j, points_i, weights)
     residuals = points_i - (points_j @ rotation.T + translation[None, :])
     theta = jnp.arctan2(rotation[1, 0] - rotation[0, 1], rotation[0, 0] + rotation[1, 1])
-    planar = jnp.stack(
-        [jnp.stack([jnp.cos(theta), -jnp.sin(theta)]), jnp.stack([jnp.sin(theta), jnp.cos(theta)])]
-    )
+    planar = jnp.stack([jnp.stack([jnp.cos(theta), -jnp.sin(theta)]), jnp.stack([jnp.sin(theta), jnp.cos(theta)])])
     covariance, rms = _covariance(planar, points_j[:, :2], residuals[:, :2], weights)
     return LoopMeasurement(jnp.concatenate([translation[:2], theta[None]]), covariance, rms)
 
@@ -102,7 +101,8 @@ def lift(
 ) -> tuple[Float[Array, "K 3"], Float[Array, "K"]]:
     """Raw pixels -> points in base, with the mean of the valid depths around them (Early Bird, eq. 9-10).
 
-    Depth is averaged as its inverse over a (2 radius + 1)^2 window, which is exact on a plane and divides the sensor's noise.
+    Depth is averaged as its inverse over a (2 radius + 1)^2 window, which is exact on a plane and divides the
+    sensor's noise.
 
     Args:
       pixels: (x, y) in the raw image, px.

@@ -1,21 +1,22 @@
 """Verification of a loop candidate: matches on the floor, RANSAC, and the pose of one robot in the other's frame.
 
-Everything happens in floor coordinates: with a metric view a rigid motion in metres, i_from_j, is found directly, whatever the
-direction; without one, the homography between the two views. One pair is a pure function of two feature sets; vmap or
-`lax.map` it.
+Everything happens in floor coordinates: with a metric view a rigid motion in metres, i_from_j, is found directly,
+whatever the direction; without one, the homography between the two views. One pair is a pure function of two feature
+sets; vmap or `lax.map` it.
 """
 
 import dataclasses
+import math
 import typing
 
 import jax
-import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, UInt32
 
 from ebjax.features.matching import Features, mutual_nearest
 from ebjax.geometry.ransac import Model, estimate
 
-HYPOTHESES = 512
+HYPOTHESES = {"rigid": 512, "similarity": 512, "homography": 4096}
+"""Random sets: four good matches of a homography's set at once are rare."""
 
 
 @typing.no_type_check
@@ -39,6 +40,28 @@ class Verified:
     def total(self) -> Int[Array, "*n"]:
         """Putative matches."""
         return self.matched.sum(-1)
+
+
+def log10_false_alarms(inliers: int, total: int, chance: float, model: Model) -> float:
+    """log10 of how many motions with so many inliers random matches would show (a contrario, Moisan and Stival 2004).
+
+    NFA = (n - m) C(n, k) C(k, m) p^(k - m) for k inliers of n matches and minimal sets of m. Below 0 is unlikely.
+
+    Args:
+      inliers: matches that agree.
+      total: putative matches.
+      chance: probability that a random match agrees: pi tolerance^2 / area of the view.
+      model: of the motion.
+    """
+    size = 4 if model == "homography" else 2
+    if inliers <= size:
+        return math.inf
+
+    def log_choose(n: int, k: int) -> float:
+        return math.lgamma(n + 1) - math.lgamma(k + 1) - math.lgamma(n - k + 1)
+
+    log = math.log(max(total - size, 1)) + log_choose(total, inliers) + log_choose(inliers, size)
+    return (log + (inliers - size) * math.log(chance)) / math.log(10)
 
 
 def verify(
@@ -69,6 +92,6 @@ def verify(
     matches = mutual_nearest(query, reference, keep=keep, max_ratio=max_ratio)
     source, target = reference_points[matches.reference], query_points[matches.query]
     found = estimate(
-        source, target, matches.valid, key=key, model=model, hypotheses=HYPOTHESES, tolerance=tolerance
+        source, target, matches.valid, key=key, model=model, hypotheses=HYPOTHESES[model], tolerance=tolerance
     )
     return Verified(matches.query, matches.reference, matches.valid, found.inliers, found.homography)

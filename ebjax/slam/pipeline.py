@@ -27,7 +27,7 @@ from ebjax.posegraph.levenberg import Solution
 from ebjax.posegraph.lm import solve
 from ebjax.slam.describe import Described, Landmarks
 from ebjax.slam.keyframes import Load, Progress, describe_keyframes, moved_enough
-from ebjax.slam.select import KEPT, Measured, Odometry, SelectConfig, select
+from ebjax.slam.select import KEPT, Measured, Odometry, SelectConfig, plausible, select
 from ebjax.slam.view import RunView
 
 MIN_DEPTH_INLIERS = 8
@@ -51,7 +51,7 @@ class PipelineConfig:
     min_gap_m: float = 4.0
     """... and, in the same direction, at least so much path earlier, m."""
     verify: int = 2
-    """Candidates of each view that are verified in each direction, the best first."""
+    """Candidates of each view that are verified in each direction, the best that odometry does not rule out."""
     tolerance_m: float = 0.02
     """Largest distance of matching points on the floor, m."""
     kernel: Literal["cauchy", "none", "huber", "geman-mcclure", "dcs"] = "cauchy"
@@ -151,7 +151,16 @@ def run(
     stage("search", start)
 
     start = time.perf_counter()
-    pick = best_of_each_direction(ranked, config.verify)
+    believable = plausible(
+        keyframes[ranked.i],
+        keyframes[ranked.j],
+        odom_from_base,
+        view.centre_m,
+        view.extent_m,
+        config.odometry,
+        config.select.odometry_sigmas,
+    )
+    pick = best_of_each_direction(np.asarray(ranked.valid) & believable, np.asarray(ranked.opposing), config.verify)
     i, j, opposing, distance = (a[pick] for a in (ranked.i, ranked.j, ranked.opposing, ranked.distance))
     verified, floor, depth, with_depth = verify_pairs(described.landmarks, i, j, opposing, config)
     by_depth = with_depth >= MIN_DEPTH_INLIERS
@@ -180,11 +189,13 @@ def run(
     return Result(keyframes, described, ranked, verified, candidates, by_depth, reasons, graph, solution, seconds)
 
 
-def best_of_each_direction(ranked: LoopCandidates, count: int) -> Bool[np.ndarray, "N K"]:
-    """Marks the first `count` candidates of every view seen from the same side and as many from the opposite one."""
-    pick = np.zeros(ranked.valid.shape, bool)
+def best_of_each_direction(
+    valid: Bool[np.ndarray, "N K"], opposing: Bool[np.ndarray, "N K"], count: int
+) -> Bool[np.ndarray, "N K"]:
+    """Marks the first `count` valid candidates of every view in each direction."""
+    pick = np.zeros(valid.shape, bool)
     for way in (False, True):
-        mine = np.asarray(ranked.valid) & (np.asarray(ranked.opposing) == way)
+        mine = valid & (opposing == way)
         pick |= mine & (np.cumsum(mine, axis=1) <= count)
     return pick
 

@@ -140,27 +140,64 @@ def select(
     return [str(reason) for reason in reasons]
 
 
+def drift_sigma_m(
+    odom_from_base: Float[np.ndarray, "N 3"],
+    steps: Float[np.ndarray, "M 3"],
+    i: Int[np.ndarray, " K"],
+    j: Int[np.ndarray, " K"],
+) -> Float[np.ndarray, " K"]:
+    """Standard deviation of where odometry puts frame j as seen from the later frame i, m.
+
+    Translation errors add up, and the heading error of every step between swings all the path behind it:
+    sum sigma_t^2 + sum sigma_theta^2 |p_j - p_step|^2, by running sums, whatever the number of pairs.
+    """
+    end = odom_from_base[1:, :2]
+    turn = steps[:, 2] ** 2
+    terms = np.concatenate(
+        [steps[:, :1] ** 2, turn[:, None], turn[:, None] * end, turn[:, None] * np.sum(end**2, 1)[:, None]], 1
+    )
+    sums = np.concatenate([np.zeros((1, 5)), np.cumsum(terms, 0)])
+    total = sums[i] - sums[j]
+    place = odom_from_base[j, :2]
+    swing = total[:, 1] * np.sum(place**2, 1) - 2 * np.sum(total[:, 2:4] * place, 1) + total[:, 4]
+    return np.sqrt(total[:, 0] + np.maximum(swing, 0))
+
+
 def odometry_distance(
     candidates: Measured, odom_from_base: Float[np.ndarray, "N 3"], steps: Float[np.ndarray, "M 3"]
 ) -> Float[np.ndarray, " K"]:
-    """How many standard deviations of the odometry between them the measured i_from_j is away from it.
-
-    Position only, with a circular bound: translation errors add up, and a heading error swings all the path behind it.
-    """
+    """How many standard deviations of the odometry between them the measured i_from_j is away from it, in position."""
     i, j = candidates.i, candidates.j
-    pose_i, pose_j = odom_from_base[i], odom_from_base[j]
-    c, s = np.cos(pose_i[:, 2]), np.sin(pose_i[:, 2])
-    x, y = candidates.i_from_j[:, 0], candidates.i_from_j[:, 1]
-    claimed = pose_i[:, :2] + np.stack([c * x - s * y, s * x + c * y], 1)
-    gap = np.linalg.norm(claimed - pose_j[:, :2], axis=1)
-    spread = np.zeros(len(i))
-    for k, (a, b) in enumerate(zip(j, i, strict=True)):
-        lever = np.linalg.norm(odom_from_base[a + 1 : b + 1, :2] - pose_j[k, :2], axis=1)
-        # In the frame of j: each step's heading error swings what comes after it; the far end is i.
-        swing = np.linalg.norm(odom_from_base[a + 1 : b + 1, :2] - pose_i[k, :2], axis=1)
-        variance = np.sum(steps[a:b, 0] ** 2) + np.sum((steps[a:b, 2] * np.maximum(swing, lever)) ** 2)
-        spread[k] = np.sqrt(variance + np.trace(candidates.covariance[k][:2, :2]))
-    return gap / np.maximum(spread, 1e-6)
+    claimed = on_floor(odom_from_base[i], candidates.i_from_j[:, :2])
+    gap = np.linalg.norm(claimed - odom_from_base[j, :2], axis=1)
+    own = np.trace(candidates.covariance[:, :2, :2], axis1=1, axis2=2)
+    return gap / np.hypot(drift_sigma_m(odom_from_base, steps, i, j), np.sqrt(np.maximum(own, 1e-12)))
+
+
+def on_floor(poses: Float[np.ndarray, "K 3"], points: Float[np.ndarray, "K 2"]) -> Float[np.ndarray, "K 2"]:
+    """Points given in base, in the world."""
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    x, y = points[:, 0], points[:, 1]
+    return poses[:, :2] + np.stack([c * x - s * y, s * x + c * y], 1)
+
+
+def plausible(
+    i: Int[np.ndarray, "N K"],
+    j: Int[np.ndarray, "N K"],
+    odom_from_base: Float[np.ndarray, "F 3"],
+    view_centre_m: Float[np.ndarray, "2"],
+    view_extent_m: float,
+    odometry: Odometry,
+    sigmas: float,
+) -> Bool[np.ndarray, "N K"]:
+    """Pairs of frames whose floor views can overlap if odometry errs by so many standard deviations at most.
+
+    Says what is worth verifying on a floor that repeats; it does not touch the ranking.
+    """
+    centre = on_floor(odom_from_base, np.broadcast_to(view_centre_m, (len(odom_from_base), 2)))
+    gap = np.linalg.norm(centre[i.ravel()] - centre[j.ravel()], axis=1)
+    drift = drift_sigma_m(odom_from_base, odometry.step_sigmas(odom_from_base), i.ravel(), j.ravel())
+    return (gap <= view_extent_m + sigmas * drift).reshape(i.shape)
 
 
 def best_per_stretch(

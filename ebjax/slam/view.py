@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ebjax.geometry.camera import Camera, FloorView, field_of_view, image_from_floor, image_from_view
-from ebjax.geometry.homography import from_four_points, orient
+from ebjax.geometry.homography import apply, from_four_points, orient
 
 MAX_GROUND_SAMPLE_M = 0.025
 """Farther floor, where one image pixel covers more than this along the view, adds blur and no detail."""
@@ -41,8 +41,17 @@ class RunView:
     def centre_m(self) -> Float[np.ndarray, "2"]:
         """The centre of the view on the floor in base, m."""
         height, width = self.size
-        x, y, w = np.asarray(self.floor_from_view) @ np.array([(width - 1) / 2, (height - 1) / 2, 1.0])
-        return np.array([x / w, y / w])
+        return self._on_floor(np.array([[(width - 1) / 2, (height - 1) / 2]]))[0]
+
+    @property
+    def extent_m(self) -> float:
+        """The longer diagonal of the view on the floor, m: views farther apart have nothing in common."""
+        height, width = self.size
+        a, b, c, d = self._on_floor(np.array([[0.0, 0], [width - 1, 0], [width - 1, height - 1], [0, height - 1]]))
+        return float(max(np.linalg.norm(a - c), np.linalg.norm(b - d)))
+
+    def _on_floor(self, pixels: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N 2"]:
+        return np.asarray(apply(self.floor_from_view, pixels.astype(np.float64)))
 
 
 def choose_floor(camera: Camera, metres_per_px: float) -> FloorView:

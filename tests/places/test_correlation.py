@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ebjax.places.correlation import MIN_OVERLAP, OVERLAP_POWER, correlate, overlap_weight, spectrum
-from ebjax.places.descriptor_map import STRIDE_PX, MapSpace, dense, learn_space, project, rotate_pi_map
+from ebjax.places.descriptor_map import STRIDE_PX, MapSpace, learn_space, project, rotate_pi_map
 
 SIZE = 96
 
@@ -63,7 +63,7 @@ def test_a_map_matches_itself_in_place(maps, space):
 
 @pytest.mark.parametrize("opposing", [False, True])
 @pytest.mark.parametrize("ahead, left", [(3, 0), (0, -2), (-4, 2)])
-def test_shift_is_how_far_the_query_lies_ahead_and_to_the_left(floor_texture, opposing, ahead, left):
+def test_shift_is_how_far_the_query_lies_ahead_and_to_the_left(floor_texture, dense_all, opposing, ahead, left):
     """A robot that has moved (dx, dy) metres, in the query's heading, between two floor views sees a shift of (dx, dy)
     over STRIDE_PX metres_per_px: up in the floor texture is ahead, left is left, as in a FloorView."""
     texture = floor_texture((200, 200), 8)
@@ -80,9 +80,9 @@ def test_shift_is_how_far_the_query_lies_ahead_and_to_the_left(floor_texture, op
         np.rot90(reference, 2) if opposing else reference,
         *(floor_texture((SIZE, SIZE), s) for s in range(4)),
     ]
-    dense_maps = jnp.stack([dense(jnp.asarray(view), seen)[0] for view in views])
+    dense_maps = dense_all(np.stack(views), seen)
     space = learn_space(dense_maps, np.ones(dense_maps.shape[1:3], bool), 16)
-    spectra = jax.vmap(lambda one: spectrum(project(one, space), space))(dense_maps)
+    spectra = jax.jit(jax.vmap(lambda one: spectrum(project(one, space), space)))(dense_maps)
     ours, others = (jax.tree.map(lambda leaf, rows=rows: leaf[rows], spectra) for rows in (0, slice(1, None)))
     score, shift = correlate(ours, others, overlap_weight(space), space, opposing=opposing)
     assert int(np.argmax(score)) == 0 and float(score[0]) > 2 * float(np.sort(score)[-2])

@@ -9,7 +9,9 @@ from ebjax.slam.select import (
     Odometry,
     SelectConfig,
     best_per_stretch,
+    drift_sigma_m,
     odometry_distance,
+    plausible,
     select,
     spread_along,
 )
@@ -86,7 +88,9 @@ def test_top_spreads(good):
 
 
 def test_no_candidate_at_all():
-    empty = Measured(*(np.zeros(0, t) for t in (int, int, bool, float, int, int)), np.zeros((0, 3)), np.zeros((0, 3, 3)))
+    empty = Measured(
+        *(np.zeros(0, t) for t in (int, int, bool, float, int, int)), np.zeros((0, 3)), np.zeros((0, 3, 3))
+    )
     assert select(empty, PATH, Odometry(), SelectConfig()) == []
 
 
@@ -97,6 +101,40 @@ def test_the_distance_from_odometry_grows_with_the_error(good):
     off = spoiled(good, 0, i_from_j=good.i_from_j[0] + np.array([1.0, 0, 0]))
     farther = spoiled(good, 0, i_from_j=good.i_from_j[0] + np.array([2.0, 0, 0]))
     assert true[0] < odometry_distance(off, PATH, steps)[0] < odometry_distance(farther, PATH, steps)[0]
+
+
+def test_drift_is_what_random_steps_drift():
+    rng = np.random.default_rng(0)
+    steps = Odometry(heading_deg_per_sqrt_m=0.5).step_sigmas(PATH)
+    local = np.diff(PATH, axis=0)
+    c, s = np.cos(PATH[:-1, 2]), np.sin(PATH[:-1, 2])
+    local[:, :2] = np.stack([c * local[:, 0] + s * local[:, 1], c * local[:, 1] - s * local[:, 0]], 1)
+    walked = local[None] + rng.normal(size=(3000, *steps.shape)) * steps[None]
+    heading = np.concatenate([np.zeros((3000, 1)), np.cumsum(walked[..., 2], 1)], 1)
+    c, s = np.cos(heading[:, :-1]), np.sin(heading[:, :-1])
+    x, y = walked[..., 0], walked[..., 1]
+    moved = np.cumsum(np.stack([c * x - s * y, s * x + c * y], -1), 1)
+    places = np.concatenate([np.zeros((3000, 1, 2)), moved], 1)
+    for i, j in ((25, 11), (41, 0), (30, 28)):
+        back = places[:, j] - places[:, i]
+        turn = -heading[:, i]
+        back = np.stack(
+            [
+                np.cos(turn) * back[:, 0] - np.sin(turn) * back[:, 1],
+                np.sin(turn) * back[:, 0] + np.cos(turn) * back[:, 1],
+            ],
+            1,
+        )
+        spread = np.sqrt(back.var(0).sum())
+        # Two position errors, along and across, share drift_sigma_m's one translation term.
+        assert drift_sigma_m(PATH, steps, np.array([i]), np.array([j]))[0] == pytest.approx(spread, rel=0.2)
+
+
+def test_what_odometry_rules_out():
+    i, j = np.array([[25, 25]]), np.array([[11, 0]])
+    centre = np.array([1.0, 0.0])
+    np.testing.assert_array_equal(plausible(i, j, PATH, centre, 1.5, Odometry(), 3.0), [[True, False]])
+    assert plausible(i, j, PATH, centre, 1.5, Odometry(translation=1.0), 3.0).all()
 
 
 def test_best_per_stretch_keeps_the_spacing():

@@ -1,0 +1,339 @@
+"""Matches two images of one floor and finds the motion between them: python -m ebjax.features A B --quad ... --out DIR."""
+
+import csv
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import tyro
+
+from ebjax.command import run
+from ebjax.io.atomic import whole_folder
+from ebjax.io.camera_file import CameraFile, read_camera
+from ebjax.io.images import depth_share, read_depth, read_image
+
+MIN_DEPTHS = 5
+RAW, FLOOR, TURNED = "raw", "floor", "floor + pi"
+
+
+@dataclass(frozen=True)
+class Config:
+    """Matches two images of one floor, raw, seen from above, and seen from above with the second turned by pi."""
+
+    a: tyro.conf.Positional[Path]
+    """The first image, JPEG or PNG."""
+    b: tyro.conf.Positional[Path]
+    """The second, by the same camera."""
+    out: Path
+    """Folder for matches.png, matches.csv and transform.json."""
+    camera: Path | None = None
+    """camera.json: makes the floor view metric."""
+    quad: tuple[float, float, float, float, float, float, float, float] | None = None
+    """Four points of the floor, x y px each: far left, far right, near right, near left."""
+    extractor: Literal["rootsift", "sift", "orb", "all"] = "rootsift"
+    """Local feature; all compares the three and keeps what most matches agree on."""
+    model: Literal["auto", "rigid", "similarity", "homography"] = "auto"
+    """Motion on the floor; auto: rigid with --camera, else homography, for a hand-picked quad is no exact rectangle."""
+    size: int = 400
+    """Side of the floor view, px."""
+    margin: float = 0.25
+    """How far the view reaches beyond the quad on every side, as a share of its side."""
+    tolerance: float = 0.01
+    """Largest error of an inlier, as a share of the view's side."""
+    depth_a: Path | None = None
+    """Depth of A, 16-bit PNG: a_from_b is measured from 3D points too."""
+    depth_b: Path | None = None
+    """Depth of B."""
+    seed: int = 0
+    """Of RANSAC."""
+
+
+def check(config: Config) -> None:
+    """Checks what needs no file.
+
+    Raises:
+      ValueError: names the option and the remedy.
+    """
+    if not 50 <= config.size <= 2000:
+        raise ValueError(f"--size is {config.size}; give 50 to 2000 px")
+    if not 0 <= config.margin <= 2:
+        raise ValueError(f"--margin is {config.margin:g}; give 0 to 2")
+    if not 0 < config.tolerance <= 0.1:
+        raise ValueError(f"--tolerance is {config.tolerance:g}; give a share of the view's side, above 0, at most 0.1")
+    if (config.depth_a is None) != (config.depth_b is None):
+        raise ValueError("--depth-a and --depth-b go together; give both or neither")
+    if config.depth_a is not None and config.camera is None:
+        raise ValueError("--depth-a needs --camera: its intrinsics turn depth into points")
+    if config.model == "rigid" and config.camera is None:
+        raise ValueError("--model rigid needs --camera: without it the view has no scale; use similarity or homography")
+
+
+def checked_quad(values: tuple[float, ...], width: int, height: int) -> np.ndarray:
+    """The quad as four points.
+
+    Raises:
+      ValueError: a point outside the image, three points on a line, or another order than asked for.
+    """
+    quad = np.array(values, np.float64).reshape(4, 2)
+    for x, y in quad:
+        if not (0 <= x <= width - 1 and 0 <= y <= height - 1):
+            raise ValueError(f"--quad: ({x:g}, {y:g}) lies outside the {width}x{height} image; give points inside it")
+    edges = np.roll(quad, -1, 0) - quad
+    following = np.roll(edges, -1, 0)
+    turns = edges[:, 0] * following[:, 1] - edges[:, 1] * following[:, 0]
+    if (np.abs(turns) < 1e-4 * width * height).any():
+        raise ValueError("--quad: three of the points lie on a line; give the four corners of a patch of floor")
+    if (turns < 0).any():
+        raise ValueError("--quad: not a convex patch in order; give far left, far right, near right, near left")
+    return quad
+
+
+def number_list(array: Any) -> Any:
+    """Nested lists of floats, for JSON."""
+    return np.asarray(array, np.float64).tolist()
+
+
+def unit(homography: np.ndarray) -> np.ndarray:
+    """Scales a homography to h33 = 1."""
+    return homography / homography[2, 2]
+
+
+def main(config: Config) -> None:
+    """Reads, matches, prints the table, writes."""
+    check(config)
+    camera_file = None if config.camera is None else read_camera(config.camera, depth=config.depth_a is not None)
+    size = None if camera_file is None else (camera_file.width, camera_file.height)
+    image_a, image_b = read_image(config.a, size), read_image(config.b, size)
+    if image_a.shape != image_b.shape:
+        sizes = [f"{image.shape[1]}x{image.shape[0]}" for image in (image_a, image_b)]
+        raise ValueError(f"{config.b}: {sizes[1]} pixels, but {config.a} has {sizes[0]}; give two images of one camera")
+    height, width = image_a.shape[:2]
+    quad = None if config.quad is None else checked_quad(config.quad, width, height)
+    depths = read_depths(config, camera_file)
+
+    from ebjax.features.extractor import EXTRACTORS
+
+    views = make_views(config, camera_file, quad, width, height)
+    names = list(EXTRACTORS) if config.extractor == "all" else [config.extractor]
+    records, comparisons = [], []
+    print(f"{'':10}" + "".join(f"{name:>16}" for name in (RAW, FLOOR, TURNED) if name == RAW or FLOOR in views))
+    for name in names:
+        row = f"{name:10}"
+        for kind, comparison, model in compare_all(config, name, views, image_a, image_b):
+            view = views[RAW if kind == RAW else FLOOR]
+            comparisons.append(comparison)
+            records.append(describe(name, kind, model, comparison, view, config.size))
+            if camera_file is not None and kind != RAW:
+                records[-1] |= measure(comparison, camera_file, depths)
+            row += f"{f'{comparison.inliers} / {comparison.total}':>14}" + (" *" if comparison.believed else "  ")
+        print(row.rstrip())
+    print("inliers / matches; * more than chance would show")
+    if FLOOR not in views:
+        print("floor views need --camera or --quad")
+    best = max(range(len(records)), key=lambda k: (records[k]["believed"], records[k]["inliers"]))
+    print_best(records[best])
+    result = {
+        "a": str(config.a),
+        "b": str(config.b),
+        "image_size": [width, height],
+        "view": conventions(config, views, quad),
+        "best": best,
+        "results": records,
+    }
+    write(config.out, result, comparisons[best], records[best], image_a, image_b)
+
+
+def read_depths(config: Config, camera_file: CameraFile | None) -> tuple[np.ndarray, np.ndarray] | None:
+    """Reads both depth images, if they were given.
+
+    Raises:
+      ValueError: an unreadable file, another size than the camera's, or no depth in it at all.
+    """
+    if config.depth_a is None or config.depth_b is None or camera_file is None:
+        return None
+    depths = []
+    for path in (config.depth_a, config.depth_b):
+        depth = read_depth(path, camera_file.depth_scale, (camera_file.width, camera_file.height))
+        if depth_share(depth) == 0:
+            raise ValueError(f"{path}: no pixel has depth; check the file and depth_scale, or leave the depth out")
+        depths.append(depth)
+    return depths[0], depths[1]
+
+
+def to_camera(camera_file: CameraFile) -> Any:
+    """The camera as the geometry knows it."""
+    from ebjax.geometry.camera import Camera
+
+    return Camera(camera_file.intrinsics, camera_file.base_from_camera, camera_file.width, camera_file.height)
+
+
+def make_views(
+    config: Config, camera_file: CameraFile | None, quad: np.ndarray | None, width: int, height: int
+) -> dict[str, Any]:
+    """The raw view and, where the floor is known, the floor view: the quad's, or the floor ahead of the camera."""
+    from ebjax.features.pair import metric_view, quad_view, raw_view
+    from ebjax.geometry.camera import FloorView
+    from ebjax.slam.view import choose_floor
+
+    views = {RAW: raw_view(width, height)}
+    camera = None if camera_file is None else to_camera(camera_file)
+    if quad is not None:
+        views[FLOOR] = quad_view(quad, config.size, config.margin, camera)
+    elif camera is not None:
+        try:
+            floor = choose_floor(camera, 0.01)
+        except ValueError as error:
+            raise ValueError(f"{config.camera}: {error}") from None
+        scale = (floor.x_max - floor.x_min) / config.size
+        views[FLOOR] = metric_view(camera, FloorView(floor.x_min, floor.x_max, floor.y_min, floor.y_max, scale))
+    return views
+
+
+def compare_all(config: Config, name: str, views: dict[str, Any], image_a: np.ndarray, image_b: np.ndarray) -> Any:
+    """Yields (input, comparison, model) for the raw images, the floor views, and the floor views with R_pi."""
+    from ebjax.features.extractor import extractor
+    from ebjax.features.pair import compare, extract
+
+    chosen = extractor(name)
+    for place, view in views.items():
+        model = config.model
+        if model == "auto" or place == RAW:
+            model = "rigid" if view.metric else "homography"
+        features = [extract(chosen, image, view) for image in (image_a, image_b)]
+        for opposing in (False,) if place == RAW else (False, True):
+            comparison = compare(
+                chosen,
+                *features,
+                view,
+                opposing=opposing,
+                model=model,
+                tolerance=config.tolerance,
+                seed=config.seed,
+            )
+            yield (TURNED if opposing else place), comparison, model
+
+
+def describe(name: str, kind: str, model: str, comparison: Any, view: Any, size: int) -> dict[str, Any]:
+    """One line of the table with its homographies, for transform.json."""
+    record: dict[str, Any] = {"extractor": name, "input": kind, "model": model}
+    record |= {"inliers": comparison.inliers, "total": comparison.total, "believed": comparison.believed}
+    record |= {"guided_inliers": int(comparison.matched.count) if comparison.believed else None}
+    if not comparison.inliers:
+        return record
+    plane_b_from_a = np.linalg.inv(comparison.a_from_b)
+    plane_from_image = view.plane_from_view @ np.linalg.inv(view.image_from_view)
+    record["image_b_from_a"] = number_list(unit(np.linalg.inv(plane_from_image) @ plane_b_from_a @ plane_from_image))
+    if kind != RAW:
+        turned = np.array([[-1.0, 0, size], [0, -1.0, size], [0, 0, 1]])
+        turn = kind == TURNED and not view.metric
+        record["floor_b_from_a"] = number_list(unit(turned @ plane_b_from_a if turn else plane_b_from_a))
+    return record
+
+
+def measure(comparison: Any, camera_file: CameraFile, depths: tuple[np.ndarray, np.ndarray] | None) -> dict[str, Any]:
+    """a_from_b on the metric floor and, with depth, from 3D points."""
+    import jax.numpy as jnp
+
+    from ebjax.features.measure import lift, measure_depth, measure_floor
+
+    if comparison.inliers < MIN_DEPTHS:
+        return {}
+    matched = comparison.matched
+    q, r, inliers = matched.query, matched.reference, matched.inliers
+    record = {"a_from_b": motion(measure_floor(comparison.plane[0][q], comparison.plane[1][r], inliers))}
+    if depths is None:
+        return record
+    camera = to_camera(camera_file)
+    lifted = [
+        lift(p, jnp.asarray(d, p.dtype), camera)
+        for p, d in zip((comparison.pixels[0][q], comparison.pixels[1][r]), depths, strict=True)
+    ]
+    (points_a, range_a), (points_b, range_b) = lifted
+    deep = inliers & (range_a > 0) & (range_b > 0)
+    count = int(deep.sum())
+    found = motion(measure_depth(points_a, points_b, deep, jnp.maximum(range_a, range_b)))
+    return record | {"a_from_b_depth": found if count >= MIN_DEPTHS else None, "inliers_with_depth": count}
+
+
+def motion(found: Any) -> dict[str, Any]:
+    """A measurement for transform.json."""
+    x, y, theta = (float(v) for v in found.i_from_j)
+    covariance = number_list(found.covariance)
+    return {"x_m": x, "y_m": y, "theta_rad": theta, "covariance": covariance, "residual_m": float(found.residual_m)}
+
+
+def conventions(config: Config, views: dict[str, Any], quad: np.ndarray | None) -> dict[str, Any]:
+    """What the coordinates in transform.json mean."""
+    meaning: dict[str, Any] = {
+        "image_b_from_a": "(x, y, 1) px of A -> px of B; the centre of the top-left pixel is (0, 0); up to scale",
+        "size": config.size,
+        "margin": config.margin if quad is not None else 0.0,
+        "quad": None if quad is None else number_list(quad),
+    }
+    if FLOOR not in views:
+        return meaning
+    s = config.size
+    if views[FLOOR].metric:
+        meaning["floor_b_from_a"] = "(x, y, 1) m on the floor in A's base (x forward, y left) -> in B's base"
+        meaning["a_from_b"] = "p_a = R(theta) p_b + (x, y); covariance of (x, y, theta) in its right tangent; m, rad"
+    else:
+        meaning["floor_b_from_a"] = (
+            f"(u, v, 1) of A's floor view -> of B's; the quad's corners are (0, 0), ({s}, 0), ({s}, {s}), (0, {s}), "
+            f"continuous; for the input {TURNED!r} B's view is turned by pi: (u, v) -> ({s} - u, {s} - v)"
+        )
+    return meaning
+
+
+def print_best(record: dict[str, Any]) -> None:
+    """Prints which line of the table is kept and what it measured."""
+    if not record["believed"]:
+        print("no common floor found: no input has more matches in agreement than chance would show")
+        return
+    print(
+        f"best: {record['extractor']}, {record['input']}, {record['model']}, {record['guided_inliers']} guided inliers"
+    )
+    for key, way in (("a_from_b", "metric floor"), ("a_from_b_depth", "depth")):
+        found = record.get(key)
+        if found is not None:
+            sigma = np.sqrt(np.diag(found["covariance"]))
+            print(
+                f"a_from_b by {way}: x {found['x_m']:.4f} m, y {found['y_m']:.4f} m, "
+                f"theta {np.degrees(found['theta_rad']):.3f} deg (sigma {sigma[0]:.4f} m, {sigma[1]:.4f} m, "
+                f"{np.degrees(sigma[2]):.3f} deg)"
+            )
+    if "inliers_with_depth" in record and record["a_from_b_depth"] is None:
+        print(f"a_from_b by depth: none, only {record['inliers_with_depth']} inliers have depth in both images")
+
+
+def write(
+    out: Path, result: dict[str, Any], comparison: Any, record: dict[str, Any], image_a: np.ndarray, image_b: np.ndarray
+) -> None:
+    """Writes the three files, all or none."""
+    from ebjax.viz import figures
+
+    matched = comparison.matched
+    rows = np.flatnonzero(np.asarray(matched.matched))
+    points_a = np.asarray(comparison.pixels[0], np.float64)[np.asarray(matched.query)[rows]]
+    points_b = np.asarray(comparison.pixels[1], np.float64)[np.asarray(matched.reference)[rows]]
+    inliers = np.asarray(matched.inliers)[rows]
+    turned = record["input"] == TURNED
+    title = f"{record['extractor']}, {record['input']}: {record['inliers']} of {record['total']} matches agree"
+    if turned:
+        title += "; the second image is turned by pi"
+    picture = figures.matches(image_a, image_b, points_a, points_b, inliers, turn_second=turned, title=title)
+    with whole_folder(out) as folder:
+        (folder / "matches.png").write_bytes(picture)
+        with open(folder / "matches.csv", "w", newline="", encoding="utf-8") as file:
+            table = csv.writer(file, lineterminator="\n")
+            table.writerow(["x_a", "y_a", "x_b", "y_b", "inlier"])
+            for a, b, inlier in zip(points_a, points_b, inliers, strict=True):
+                table.writerow([*(f"{v:.3f}" for v in (*a, *b)), int(inlier)])
+        text = json.dumps(result, indent=1, allow_nan=False)
+        (folder / "transform.json").write_text(text + "\n", encoding="utf-8")
+    print(f"wrote {out}")
+
+
+if __name__ == "__main__":
+    run(main, Config)

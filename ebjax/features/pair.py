@@ -1,0 +1,189 @@
+"""Two images of one floor, from the images to the motion: the views they are compared in, and the comparison.
+
+A `PlaneView` says which part of an image is looked at and in which coordinates matches must agree: raw pixels, the
+floor that four points span (pixels of that square), or the floor in metres. Host-side; every array program inside is
+jitted.
+"""
+
+import dataclasses
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, UInt8
+
+from ebjax.features.extractor import Extractor
+from ebjax.features.matching import Features
+from ebjax.features.refine import refine
+from ebjax.features.verify import Verified, log10_false_alarms, verify
+from ebjax.geometry.camera import Camera, FloorView, field_of_view, image_from_floor, image_from_view
+from ebjax.geometry.homography import apply, from_four_points, orient
+from ebjax.geometry.ransac import Model
+from ebjax.geometry.warp import warp
+
+LUMA = (0.299, 0.587, 0.114)
+MAX_SUPERSAMPLE = 8
+KEEP = 1000
+MAX_LOG10_FALSE_ALARMS = -3.0
+
+
+@dataclasses.dataclass(frozen=True)
+class PlaneView:
+    """What of an image is compared, and in which plane.
+
+    Attributes:
+      image_from_view: view pixel -> image pixel, w > 0 in front of the camera.
+      plane_from_view: view pixel -> plane coordinates, in which matches must agree.
+      size: (height, width) of the view, px.
+      side: length of the view (without a margin) in the plane's unit.
+      metric: whether that unit is the metre, in base.
+    """
+
+    image_from_view: Float[np.ndarray, "3 3"]
+    plane_from_view: Float[np.ndarray, "3 3"]
+    size: tuple[int, int]
+    side: float
+    metric: bool = False
+
+
+def raw_view(width: int, height: int) -> PlaneView:
+    """The image itself."""
+    return PlaneView(np.eye(3), np.eye(3), (height, width), float(max(width, height)))
+
+
+def quad_view(quad: Float[np.ndarray, "4 2"], size: int, margin: float, camera: Camera | None = None) -> PlaneView:
+    """The floor that four image points span (Early Bird, section III-A), as a square with a margin.
+
+    The plane has the quad's corners at (0, 0), (size, 0), (size, size), (0, size); with a camera it is the floor, m.
+
+    Args:
+      quad: (x, y) px: far left, far right, near right, near left.
+      size: side of the square without its margin, px.
+      margin: how far the view reaches beyond the quad on every side, as a share of its side.
+      camera: of the image, where it is known.
+    """
+    corners = np.array([[0, 0], [size, 0], [size, size], [0, size]], np.float64)
+    image_from_square = np.asarray(orient(from_four_points(corners, quad), corners.mean(0)))
+    side = round(size * (1 + 2 * margin))
+    shift = (size - side + 1) / 2
+    square_from_view = np.array([[1.0, 0.0, shift], [0.0, 1.0, shift], [0.0, 0.0, 1.0]])
+    homography = image_from_square @ square_from_view
+    if camera is None:
+        return PlaneView(homography, square_from_view, (side, side), float(size))
+    floor_from_image = np.linalg.inv(np.asarray(image_from_floor(camera), np.float64))
+    on_floor = np.asarray(apply(floor_from_image, quad))
+    length = float(np.mean(np.linalg.norm(np.roll(on_floor, -1, 0) - on_floor, axis=1)))
+    return PlaneView(homography, floor_from_image @ homography, (side, side), length, True)
+
+
+def metric_view(camera: Camera, floor: FloorView) -> PlaneView:
+    """A rectangle of floor, metres."""
+    homography = np.asarray(image_from_view(camera, floor), np.float64)
+    return PlaneView(homography, floor.floor_from_view, floor.size, float(floor.x_max - floor.x_min), True)
+
+
+def look(image: UInt8[np.ndarray, "H W 3"], view: PlaneView) -> tuple[Float[Array, "h w"], Bool[Array, "h w"]]:
+    """The grey view in [0, 1] and which of its pixels the image sees.
+
+    Every view pixel averages as many samples along each axis as image pixels it covers: near floor would alias.
+    """
+    grey = np.asarray(image, np.float32) @ np.asarray(LUMA, np.float32) / 255
+    height, width = view.size
+    if np.array_equal(view.image_from_view, np.eye(3)):
+        return jnp.asarray(grey), jnp.ones((height, width), bool)
+    seen = field_of_view(view.image_from_view, view.size, (image.shape[0], image.shape[1]), 1.0)
+    down, across = _image_pixels_per_view_pixel(view, np.asarray(seen))
+    scale_shift = [[1 / n, (1 - n) / (2 * n)] for n in (across, down)]
+    view_from_fine = np.array(
+        [[scale_shift[0][0], 0, scale_shift[0][1]], [0, scale_shift[1][0], scale_shift[1][1]], [0, 0, 1]]
+    )
+    homography = jnp.asarray(view.image_from_view @ view_from_fine)
+    fine = warp(jnp.asarray(grey)[..., None], homography, (height * down, width * across))
+    return fine.reshape(height, down, width, across).mean((1, 3)).astype(jnp.float32), seen
+
+
+def _image_pixels_per_view_pixel(view: PlaneView, seen: Bool[np.ndarray, "h w"]) -> tuple[int, int]:
+    rows, columns = np.nonzero(seen)
+    chosen = np.linspace(0, len(rows) - 1, min(len(rows), 1000)).astype(int)
+    at = np.stack([columns, rows], 1)[chosen].astype(np.float64)
+
+    def factor(step: np.ndarray) -> int:
+        moved = np.linalg.norm(
+            np.asarray(apply(view.image_from_view, at + step / 2))
+            - np.asarray(apply(view.image_from_view, at - step / 2)),
+            axis=1,
+        )
+        return int(np.clip(math.ceil(np.quantile(moved, 0.9)), 1, MAX_SUPERSAMPLE)) if len(moved) else 1
+
+    return factor(np.array([0.0, 1.0])), factor(np.array([1.0, 0.0]))
+
+
+@dataclasses.dataclass(frozen=True)
+class Comparison:
+    """What two views have in common.
+
+    Attributes:
+      inliers: putative matches that agree on one motion.
+      total: putative matches.
+      believed: whether chance would hardly show so many inliers.
+      matched: rows of the keypoints that match and which agree: guided matches where believed, else the putative ones.
+      pixels: the keypoints of a and of b in the raw images, px.
+      plane: likewise in the view's plane.
+      a_from_b: the motion in the plane; identity where nothing was found.
+    """
+
+    inliers: int
+    total: int
+    believed: bool
+    matched: Verified
+    pixels: tuple[Float[Array, "K 2"], Float[Array, "K 2"]]
+    plane: tuple[Float[Array, "K 2"], Float[Array, "K 2"]]
+    a_from_b: Float[np.ndarray, "3 3"]
+
+
+def extract(extractor: Extractor, image: UInt8[np.ndarray, "H W 3"], view: PlaneView) -> Features:
+    """The features of the view, keypoints in view pixels."""
+    grey, seen = look(image, view)
+    if extractor.jitted:
+        return jax.jit(extractor.extract)(grey, seen)
+    return jax.tree.map(jnp.asarray, extractor.extract(np.asarray(grey), np.asarray(seen)))
+
+
+def compare(
+    extractor: Extractor,
+    a: Features,
+    b: Features,
+    view: PlaneView,
+    *,
+    opposing: bool,
+    model: Model,
+    tolerance: float,
+    seed: int = 0,
+) -> Comparison:
+    """Matches and verifies two views; where the result is believed, matches again around it.
+
+    Args:
+      extractor: of both features.
+      a: features of the first view.
+      b: features of the second.
+      view: of both.
+      opposing: whether b is turned by pi.
+      model: of the motion in the plane.
+      tolerance: largest residual of an inlier, as a share of the view's side.
+      seed: of RANSAC.
+    """
+    if opposing:
+        b = Features(b.keypoints, extractor.turn(b.descriptors), b.valid)
+    keypoints = [f.keypoints.astype(jnp.result_type(0.0)) for f in (a, b)]
+    plane = tuple(apply(view.plane_from_view, k) for k in keypoints)
+    limit = tolerance * view.side
+    found = verify(
+        a, b, *plane, key=jax.random.key(seed), tolerance=limit, model=model, keep=min(KEEP, len(keypoints[0]))
+    )
+    inliers, total = int(found.count), int(found.total)
+    believed = log10_false_alarms(inliers, total, math.pi * tolerance**2, model) < MAX_LOG10_FALSE_ALARMS
+    if believed:
+        found = refine(a, b, *plane, found.query_from_reference, tolerance=limit, model=model)
+    pixels = tuple(apply(view.image_from_view, k) for k in keypoints)
+    return Comparison(inliers, total, believed, found, pixels, plane, np.asarray(found.query_from_reference))
