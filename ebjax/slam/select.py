@@ -146,15 +146,21 @@ def drift_sigma_m(
     i: Int[np.ndarray, " K"],
     j: Int[np.ndarray, " K"],
 ) -> Float[np.ndarray, " K"]:
-    """Standard deviation of where odometry puts frame j as seen from the later frame i, m.
+    """Standard deviation (radial, both axes) of where odometry puts frame j as seen from the later frame i, m.
 
     Translation errors add up, and the heading error of every step between swings all the path behind it:
-    sum sigma_t^2 + sum sigma_theta^2 |p_j - p_step|^2, by running sums, whatever the number of pairs.
+    sum (sigma_x^2 + sigma_y^2) + sum sigma_theta^2 |p_j - p_step|^2, by running sums, whatever the number of pairs.
     """
     end = odom_from_base[1:, :2]
     turn = steps[:, 2] ** 2
     terms = np.concatenate(
-        [steps[:, :1] ** 2, turn[:, None], turn[:, None] * end, turn[:, None] * np.sum(end**2, 1)[:, None]], 1
+        [
+            np.sum(steps[:, :2] ** 2, 1, keepdims=True),
+            turn[:, None],
+            turn[:, None] * end,
+            turn[:, None] * np.sum(end**2, 1)[:, None],
+        ],
+        1,
     )
     sums = np.concatenate([np.zeros((1, 5)), np.cumsum(terms, 0)])
     total = sums[i] - sums[j]
