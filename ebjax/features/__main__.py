@@ -1,4 +1,4 @@
-"""Matches two images of one floor and finds the motion between them: python -m ebjax.features A B --quad ... --out DIR."""
+"""Matches two images of one floor and finds the motion between them."""
 
 import csv
 import json
@@ -38,7 +38,7 @@ class Config:
     """Motion on the floor; auto: rigid with --camera, else homography, for a hand-picked quad is no exact rectangle."""
     size: int = 400
     """Side of the floor view, px."""
-    margin: float = 0.25
+    margin: float = 0.5
     """How far the view reaches beyond the quad on every side, as a share of its side."""
     tolerance: float = 0.01
     """Largest error of an inlier, as a share of the view's side."""
@@ -201,11 +201,12 @@ def compare_all(config: Config, name: str, views: dict[str, Any], image_a: np.nd
         model = config.model
         if model == "auto" or place == RAW:
             model = "rigid" if view.metric else "homography"
-        features = [extract(chosen, image, view) for image in (image_a, image_b)]
+        a, b = (extract(chosen, image, view) for image in (image_a, image_b))
         for opposing in (False,) if place == RAW else (False, True):
             comparison = compare(
                 chosen,
-                *features,
+                a,
+                b,
                 view,
                 opposing=opposing,
                 model=model,

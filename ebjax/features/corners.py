@@ -15,7 +15,8 @@ def _blur(image: Float[Array, "H W"], times: int) -> Float[Array, "H W"]:
             pad = [(1, 1) if axis == a else (0, 0) for a in (0, 1)]
             p = jnp.pad(image, pad, mode="edge")
             n = image.shape[axis]
-            image = sum(w * jax.lax.slice_in_dim(p, k, k + n, axis=axis) for k, w in enumerate(WINDOW))
+            parts = [w * jax.lax.slice_in_dim(p, k, k + n, axis=axis) for k, w in enumerate(WINDOW)]
+            image = parts[0] + parts[1] + parts[2]
     return image
 
 
@@ -30,7 +31,7 @@ def corner_response(grey: Float[Array, "H W"], seen: Bool[Array, "H W"]) -> Floa
 
 
 def _running(image: Float[Array, "H W"], radius: int, combine, fill: float) -> Float[Array, "H W"]:
-    """The maximum or minimum over a square, by two passes of shifted copies (XLA's reduce_window is 30 times slower)."""
+    """The maximum or minimum over a square, by two passes of shifted copies (reduce_window is 30 times slower)."""
     for axis in (0, 1):
         pad = [(radius, radius) if axis == a else (0, 0) for a in (0, 1)]
         padded, n = jnp.pad(image, pad, constant_values=fill), image.shape[axis]

@@ -49,7 +49,7 @@ def extract_orb(grey: Float[np.ndarray, "H W"], seen: Bool[np.ndarray, "H W"]) -
     detector = cv2.ORB.create(nfeatures=COUNT, edgeThreshold=15, fastThreshold=7)
     keypoints, descriptors = detector.detectAndCompute(*_bytes(grey, seen))
     if descriptors is not None:
-        descriptors = np.unpackbits(descriptors, axis=1).astype(np.float32) / 8 - 1 / 16
+        descriptors = np.unpackbits(np.asarray(descriptors, np.uint8), axis=1).astype(np.float32) / 8 - 1 / 16
     return _padded(list(keypoints), descriptors, 256)
 
 

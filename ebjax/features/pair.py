@@ -176,14 +176,35 @@ def compare(
     if opposing:
         b = Features(b.keypoints, extractor.turn(b.descriptors), b.valid)
     keypoints = [f.keypoints.astype(jnp.result_type(0.0)) for f in (a, b)]
-    plane = tuple(apply(view.plane_from_view, k) for k in keypoints)
+    plane = [apply(view.plane_from_view, k) for k in keypoints]
     limit = tolerance * view.side
     found = verify(
-        a, b, *plane, key=jax.random.key(seed), tolerance=limit, model=model, keep=min(KEEP, len(keypoints[0]))
+        a,
+        b,
+        plane[0],
+        plane[1],
+        key=jax.random.key(seed),
+        tolerance=limit,
+        model=model,
+        keep=min(KEEP, len(keypoints[0])),
     )
     inliers, total = int(found.count), int(found.total)
-    believed = log10_false_alarms(inliers, total, math.pi * tolerance**2, model) < MAX_LOG10_FALSE_ALARMS
+    agreeing, possible = (_distinct(found, rows, plane, limit) for rows in (found.inliers, found.matched))
+    rare = log10_false_alarms(agreeing, possible, math.pi * tolerance**2, model) < MAX_LOG10_FALSE_ALARMS
+    # Both cameras look at the same side of the floor: no mirror image.
+    believed = rare and float(jnp.linalg.det(found.query_from_reference)) > 0
     if believed:
-        found = refine(a, b, *plane, found.query_from_reference, tolerance=limit, model=model)
-    pixels = tuple(apply(view.image_from_view, k) for k in keypoints)
-    return Comparison(inliers, total, believed, found, pixels, plane, np.asarray(found.query_from_reference))
+        found = refine(a, b, plane[0], plane[1], found.query_from_reference, tolerance=limit, model=model)
+    pixels = [apply(view.image_from_view, k) for k in keypoints]
+    motion = np.asarray(found.query_from_reference)
+    return Comparison(inliers, total, believed, found, (pixels[0], pixels[1]), (plane[0], plane[1]), motion)
+
+
+def _distinct(found: Verified, rows: Bool[Array, " M"], plane: list[Array], tolerance: float) -> int:
+    """How many places the matches join: keypoints that nearly coincide agree on anything."""
+    chosen = np.asarray(rows)
+    counts = []
+    for points, index in zip(plane, (found.query, found.reference), strict=True):
+        cells = np.floor(np.asarray(points)[np.asarray(index)[chosen]] / (2 * tolerance))
+        counts.append(len(np.unique(cells, axis=0)))
+    return min(counts)

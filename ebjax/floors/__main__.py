@@ -1,4 +1,4 @@
-"""`python -m ebjax.floors --out DIR`: renders a synthetic corridor run in TUM layout, about 15 s for 90 frames."""
+"""Renders a synthetic corridor run in TUM layout."""
 
 import dataclasses
 import os

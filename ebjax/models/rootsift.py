@@ -1,7 +1,7 @@
 """Upright rootSIFT in JAX, dense or at keypoints, without weights (Lowe 2004; Arandjelovic and Zisserman 2012).
 
-A grey image becomes a map of pooled gradient orientations (`pool_orientations`); a descriptor anywhere is sixteen bilinear
-reads of that map (`describe`). The pooling is two matrix products, so a view costs about a millisecond and is differentiable.
+A grey image becomes a map of pooled gradient orientations (`pool_orientations`); a descriptor anywhere is sixteen
+bilinear reads of that map (`describe`). The pooling is two matrix products: fast, and differentiable.
 No orientation is estimated: floor views are aligned by R_pi, and upright descriptors are the more distinctive ones.
 """
 
@@ -22,10 +22,14 @@ DIMENSION = BINS * BINS * ORIENTATIONS
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class OrientationMap:
-    """Gradient orientations pooled by a triangle of half-width `bin_px` on a grid of `stride_px`, bin_px = 3 stride_px."""
+    """Gradient orientations pooled by a triangle of half-width `bin_px` on a grid of `stride_px`, bin_px = 3 stride_px.
+
+    The grid is symmetric about the image's centre and reaches beyond its border, so turning by pi and pooling commute.
+    """
 
     values: Float[Array, "h w 9"]  # eight orientations and the share of pixels seen
     stride_px: float = dataclasses.field(metadata=dict(static=True))
+    origin_px: tuple[float, float] = dataclasses.field(metadata=dict(static=True))  # x, y of the first grid point
 
 
 def _gaussian_matrix(size: int, sigma: float) -> np.ndarray:
@@ -34,9 +38,13 @@ def _gaussian_matrix(size: int, sigma: float) -> np.ndarray:
     return (kernel / kernel.sum(1, keepdims=True)).astype(np.float32)
 
 
+def _centres(size: int, stride_px: float) -> np.ndarray:
+    count = int(np.ceil((size - 1) / stride_px)) + 1
+    return (size - 1) / 2 + (np.arange(count) - (count - 1) / 2) * stride_px
+
+
 def _pooling_matrix(size: int, bin_px: float) -> np.ndarray:
-    stride = bin_px / 3
-    centres = np.arange(int(np.floor((size - 1) / stride)) + 1) * stride
+    centres = _centres(size, bin_px / 3)
     weights = np.maximum(0, 1 - np.abs(centres[:, None] - np.arange(size)[None, :]) / bin_px)
     return (weights / bin_px).astype(np.float32)
 
@@ -48,8 +56,8 @@ def pool_orientations(
 
     Args:
       grey: in [0, 1].
-      seen: 1 where the view shows the floor, 0 outside the camera's field of view. Gradients count only where their whole
-        neighbourhood is seen, so the border of the field of view leaves no edge.
+      seen: 1 where the view shows the floor, 0 outside the camera's field of view. Gradients count only where their
+        whole neighbourhood is seen, so the border of the field of view leaves no edge.
       bin_px: side of one of the 4 x 4 spatial bins, px; the descriptor covers 4 bin_px.
       sigma_px: Gaussian smoothing before the gradient, px.
     """
@@ -71,7 +79,8 @@ def pool_orientations(
     pool_y, pool_x = (jnp.asarray(_pooling_matrix(n, bin_px), dtype) for n in (height, width))
     rows = (pool_y @ channels.reshape(height, -1)).reshape(-1, width, ORIENTATIONS + 1)
     values = jnp.einsum("hwc,kw->hkc", rows, pool_x)
-    return OrientationMap(values, bin_px / 3)
+    origin = float(_centres(width, bin_px / 3)[0]), float(_centres(height, bin_px / 3)[0])
+    return OrientationMap(values, bin_px / 3, origin)
 
 
 def describe(pooled: OrientationMap, points: Float[Array, "N 2"]) -> tuple[Float[Array, "N 128"], Float[Array, "N"]]:
@@ -87,8 +96,8 @@ def describe(pooled: OrientationMap, points: Float[Array, "N 2"]) -> tuple[Float
     values, dtype = pooled.values, pooled.values.dtype
     offset = (jnp.arange(BINS, dtype=dtype) - (BINS - 1) / 2) * 3
     height, width, channels = values.shape
-    x = points[:, 0, None] / pooled.stride_px + offset[None, :]
-    y = points[:, 1, None] / pooled.stride_px + offset[None, :]
+    x = (points[:, 0, None] - pooled.origin_px[0]) / pooled.stride_px + offset[None, :]
+    y = (points[:, 1, None] - pooled.origin_px[1]) / pooled.stride_px + offset[None, :]
     flat = values.reshape(-1, channels)
 
     def taps(position: Float[Array, "N 4"], size: int):
@@ -119,7 +128,7 @@ def root_normalise(histogram: Float[Array, "*n D"]) -> Float[Array, "*n D"]:
 
 
 def rotate_pi_descriptor(descriptors: Float[Array, "*n 128"]) -> Float[Array, "*n 128"]:
-    """The descriptors of the same points in the image turned by pi: bins reversed, orientations shifted by half a turn."""
+    """The descriptors of the same points in the image turned by pi: bins reversed, orientations half a turn on."""
     bins = descriptors.reshape(*descriptors.shape[:-1], BINS, BINS, ORIENTATIONS)
     turned = jnp.roll(bins[..., ::-1, ::-1, :], ORIENTATIONS // 2, axis=-1)
     return turned.reshape(descriptors.shape)

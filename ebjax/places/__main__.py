@@ -1,4 +1,4 @@
-"""`python -m ebjax.places DATABASE QUERIES --camera FILE --out DIR`: finds images of the same floor among others."""
+"""Finds images of the same floor among others, from either side."""
 
 import csv
 import json
@@ -69,10 +69,10 @@ class PlacesConfig:
     """Of the vocabulary."""
 
 
-def natural(path: Path) -> list[tuple[int, int, str]]:
+def natural(path: Path) -> tuple[list[tuple[int, str]], str]:
     """A key that sorts img2 before img10."""
-    parts = re.split(r"(\d+)", path.name)
-    return [(1, int(part), part) if part.isdecimal() else (0, 0, part.lower()) for part in parts]
+    parts = re.split(r"(\d+)", path.name.lower())
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts], path.name
 
 
 def list_images(folder: Path) -> list[Path]:

@@ -1,4 +1,4 @@
-"""Optimises a g2o pose graph: python -m ebjax.posegraph GRAPH.g2o --out OUT.g2o."""
+"""Optimises a g2o pose graph."""
 
 import sys
 import time

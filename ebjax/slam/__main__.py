@@ -1,11 +1,11 @@
-"""`python -m ebjax.slam [SEQUENCE] --out RUN`: closes loops from opposing views and corrects the trajectory."""
+"""Closes loops from opposing views on a run and corrects its trajectory."""
 
 import dataclasses
 import resource
 import sys
 import time
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
@@ -22,6 +22,7 @@ from ebjax.places.recall import facing_pairs, precision_100, recall_at_1
 from ebjax.slam.floor import camera_from_depth, floor_error_m
 from ebjax.slam.pipeline import PipelineConfig, Result
 from ebjax.slam.pipeline import run as run_pipeline
+from ebjax.slam.select import SelectConfig
 from ebjax.slam.view import choose_floor, from_camera, from_quad
 from ebjax.slam.world import planar
 from ebjax.viz.run_folder import write_run
@@ -34,6 +35,7 @@ PAPER_RADIUS = 1 / 15
 class Config(PipelineConfig):
     """Finds where the robot drove the other way over the same floor, and corrects its odometry with it."""
 
+    select: Annotated[SelectConfig, tyro.conf.arg(name="")] = dataclasses.field(default_factory=SelectConfig)
     sequence: tyro.conf.Positional[Path | None] = None
     """Folder in TUM layout (rgb.txt, camera.json, odometry.txt; depth.txt, groundtruth.txt); None: a synthetic one."""
     out: Path = Path("runs/slam")

@@ -146,7 +146,7 @@ def drift_sigma_m(
     i: Int[np.ndarray, " K"],
     j: Int[np.ndarray, " K"],
 ) -> Float[np.ndarray, " K"]:
-    """Standard deviation (radial, both axes) of where odometry puts frame j as seen from the later frame i, m.
+    """Standard deviation (radial, both axes) of where odometry puts frame j seen from the later frame i, m.
 
     Translation errors add up, and the heading error of every step between swings all the path behind it:
     sum (sigma_x^2 + sigma_y^2) + sum sigma_theta^2 |p_j - p_step|^2, by running sums, whatever the number of pairs.
@@ -166,7 +166,7 @@ def drift_sigma_m(
     total = sums[i] - sums[j]
     place = odom_from_base[j, :2]
     swing = total[:, 1] * np.sum(place**2, 1) - 2 * np.sum(total[:, 2:4] * place, 1) + total[:, 4]
-    return np.sqrt(total[:, 0] + np.maximum(swing, 0))
+    return np.sqrt(np.maximum(total[:, 0] + np.maximum(swing, 0), 0))
 
 
 def odometry_distance(

@@ -68,9 +68,9 @@ def write_run(
             np.stack([candidates.j, candidates.i], 1), 1 - candidates.distance, kept, len(sequence)
         ),
     }
-    best = [match_figure(sequence, load, result, view, k) for k in spread_rows(chosen, 3)]
+    best = [match_figure(sequence, load, result, view, int(k)) for k in spread_rows(chosen, 3)]
     doubtful = np.flatnonzero(~kept & (candidates.inliers >= 12) & ~np.isin(result.reasons, [THINNED]))
-    rejected = [match_figure(sequence, load, result, view, k) for k in spread_rows(doubtful, 2)]
+    rejected = [match_figure(sequence, load, result, view, int(k)) for k in spread_rows(doubtful, 2)]
     table = [closure_row(sequence, result, int(k)) for k in chosen]
     page = run_page(sequence.path.name, metrics, pngs, [f for f in best if f], [f for f in rejected if f], table)
     write_tum(folder / "trajectory.tum", sequence.timestamps, poses, "base_link; starts at odometry's first pose")

@@ -9,6 +9,11 @@ from ebjax.places.correlation import MIN_OVERLAP, OVERLAP_POWER, correlate, over
 from ebjax.places.descriptor_map import STRIDE_PX, MapSpace, learn_space, project, rotate_pi_map
 
 SIZE = 96
+correlate, spectrum, overlap_weight = (
+    jax.jit(correlate, static_argnames="opposing"),
+    jax.jit(spectrum),
+    jax.jit(overlap_weight),
+)
 
 
 def by_loop(query, reference, mask_q, mask_r):

@@ -70,7 +70,7 @@ def test_without_depth_and_from_a_quad(rendered, tmp_path):
     assert floor["closures_by_depth"] == 0
     assert floor["closures_kept"] >= 3
     assert floor["closures_against_truth"]["within_5cm_1deg"] == floor["closures_kept"]
-    quad = slam(rendered, tmp_path / "quad", *"--quad 180 250 460 250 600 440 40 440".split())
+    quad = slam(rendered, tmp_path / "quad", *["--quad", "180", "250", "460", "250", "600", "440", "40", "440"])
     assert quad["closures_by_depth"] == quad["closures_kept"] > 0
     assert quad["closures_against_truth"]["within_5cm_1deg"] == quad["closures_kept"]
 
@@ -82,7 +82,7 @@ def test_the_floor_from_depth_is_the_camera_s(rendered, tmp_path, capsys):
 
 
 def test_top_keeps_so_many(rendered, tmp_path):
-    assert slam(rendered, tmp_path / "run", "--select.top", "2")["closures_kept"] == 2
+    assert slam(rendered, tmp_path / "run", "--top", "2")["closures_kept"] == 2
 
 
 @pytest.mark.parametrize("extractor", ["sift", "orb"])
@@ -179,7 +179,7 @@ def test_the_real_corridor_by_its_floor_alone(data, tmp_path):
 
 
 def test_the_real_corridor_from_four_points(data, tmp_path):
-    quad = "--quad 180 299 460 290 585 443 66 462".split()
+    quad = ["--quad", "180", "299", "460", "290", "585", "443", "66", "462"]
     assert slam(data("corridor_rgbd"), tmp_path / "run", *quad)["ate_rmse_m"]["after"] <= 0.05
 
 

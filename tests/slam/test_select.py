@@ -17,7 +17,7 @@ from ebjax.slam.select import (
 )
 
 OUT = np.stack([np.arange(21) * 0.5, np.zeros(21), np.zeros(21)], 1)
-PATH = np.concatenate([OUT, OUT[::-1] + [0, 0.2, np.pi]])
+PATH = np.concatenate([OUT, OUT[::-1] + np.array([0, 0.2, np.pi])])
 
 
 def true_candidates(pairs):

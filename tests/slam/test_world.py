@@ -15,10 +15,10 @@ def test_roll_and_pitch_are_carried_over():
     tilt = matrices(rng.normal(0, 1, (5, 3)))
     c, s = np.cos(0.05), np.sin(0.05)
     tilt[:, :3, :3] = tilt[:, :3, :3] @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
-    moved = matrices(planar(tilt) + [1.0, 2.0, 0.3], like=tilt)
+    moved = matrices(planar(tilt) + np.array([1.0, 2.0, 0.3]), like=tilt)
     turn = matrices(np.array([[0.0, 0.0, 0.3]]))[0]
     np.testing.assert_allclose(moved[:, :3, :3], turn[:3, :3] @ tilt[:, :3, :3], atol=1e-12)
-    np.testing.assert_allclose(moved[:, :2, 3], tilt[:, :2, 3] + [1.0, 2.0], atol=1e-12)
+    np.testing.assert_allclose(moved[:, :2, 3], tilt[:, :2, 3] + np.array([1.0, 2.0]), atol=1e-12)
 
 
 def test_missing_truth_stays_missing():
