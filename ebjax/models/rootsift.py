@@ -70,8 +70,11 @@ def pool_orientations(
     smooth = smooth / jnp.maximum(weight, 1e-3)
     gx = jnp.pad((smooth[:, 2:] - smooth[:, :-2]) / 2, ((0, 0), (1, 1)))
     gy = jnp.pad((smooth[2:] - smooth[:-2]) / 2, ((1, 1), (0, 0)))
-    magnitude = jnp.sqrt(gx * gx + gy * gy + 1e-12) * inside
-    angle = jnp.arctan2(gy, gx + 1e-12) * (ORIENTATIONS / (2 * np.pi))
+    # Exactly nothing where there is no gradient (and no infinite derivative): else flat floor would have a direction.
+    squared = gx * gx + gy * gy
+    some = squared > 0
+    magnitude = jnp.where(some, jnp.sqrt(jnp.where(some, squared, 1)), 0) * inside
+    angle = jnp.arctan2(gy, jnp.where(some, gx, 1)) * (ORIENTATIONS / (2 * np.pi))
     distance = jnp.abs(angle[..., None] - jnp.arange(ORIENTATIONS, dtype=dtype)[None, None, :])
     distance = jnp.minimum(distance, jnp.abs(ORIENTATIONS - distance))
     channels = jnp.maximum(0, 1 - distance) * magnitude[..., None]

@@ -88,6 +88,7 @@ def search(
     seed: int = 0,
     queries: Int[np.ndarray, "Q"] | None = None,
     top: int = SHORTLIST,
+    cells: Bool[np.ndarray, "N r c"] | None = None,
 ) -> LoopCandidates:
     """Up to `top` candidates of each direction for every query, ranked together, best first.
 
@@ -100,6 +101,7 @@ def search(
       seed: of the vocabulary.
       queries: the rows of `dense_maps` that are queries; None: all.
       top: views of each direction that are shortlisted.
+      cells: which cells of each view show floor, where that is known; None: all.
 
     Raises:
       ValueError: unknown ranking; no cell has enough support.
@@ -114,6 +116,8 @@ def search(
     space = learn_space(cut[sample], mask[rows, columns], CHANNELS)
     blocks = [np.asarray(_project_block(cut[np.arange(k, k + BLOCK) % views], space)) for k in range(0, views, BLOCK)]
     maps = jnp.asarray(np.concatenate(blocks)[:views])
+    if cells is not None:
+        maps = maps * jnp.asarray(cells[:, rows, columns, None], maps.dtype)
     asked = np.arange(views, dtype=np.int32) if queries is None else queries.astype(np.int32)
     cosine, j = shortlist(global_descriptors(maps, space, seed=seed), asked, allowed, k=top)
     if ranking == "cosine":

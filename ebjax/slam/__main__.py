@@ -134,7 +134,7 @@ def run_camera(config: Config, sequence: Sequence, frames: Frames) -> Camera:
     if not sequence.has_depth:
         raise ValueError(f"{sequence.path}: --floor depth needs depth.txt and --depth sequence")
     chosen = spread_rows(np.arange(len(sequence)), 9)
-    depths = [images[1] for images in map(frames.load, chosen) if images is not None and images[1] is not None]
+    depths = [images[1] for images in map(frames.load, chosen.tolist()) if images is not None and images[1] is not None]
     try:
         camera, height_m, pitch_deg, roll_deg = camera_from_depth(depths, camera)
     except ValueError as fault:

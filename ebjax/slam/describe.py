@@ -14,12 +14,12 @@ from ebjax.features.measure import lift
 from ebjax.geometry.camera import Camera, backproject
 from ebjax.geometry.homography import apply
 from ebjax.geometry.warp import Taps, gather, taps
-from ebjax.places.descriptor_map import dense
+from ebjax.places.descriptor_map import MIN_SUPPORT, dense
 from ebjax.slam.view import RunView
 
 SUPERSAMPLE = 2
 """Each view pixel averages so many samples a side: near floor is imaged finer than the view and would alias."""
-OBSTACLE_M = (0.1, 0.05)
+OBSTACLE_M = (0.05, 0.02)
 """What rises above the floor by more than this, plus this share of its distance, is no floor: a wall, a leg."""
 LUMA = (0.299, 0.587, 0.114)
 
@@ -45,6 +45,7 @@ class Described:
     view: UInt8[Array, "*n h w 3"]  # RGB
     floor: Bool[Array, "*n h w"]  # seen, and nothing stands there as far as depth knows
     place_map: Float[Array, "*n r c D"]
+    cells: Bool[Array, "*n r c"]  # of the place map: those that show floor
     landmarks: Landmarks
 
 
@@ -105,14 +106,15 @@ def describe(
     """
     colours = floor_view(rgb, samples)
     grey = colours @ jnp.asarray(LUMA, colours.dtype)
-    place_map, _ = dense(grey, view.seen.astype(grey.dtype))
     floor = clear_floor(depth_m.astype(view.image_from_view.dtype), view, camera)
+    place_map, support = dense(grey, floor.astype(grey.dtype))
     chosen = extractor(extractor_name if extractor(extractor_name).jitted else "rootsift")
     features = chosen.extract(grey, view.seen)
     return Described(
         jnp.round(colours * 255).astype(jnp.uint8),
         floor,
         place_map.astype(jnp.float16),
+        support > MIN_SUPPORT,
         _located(features, floor, depth_m, view, camera),
     )
 

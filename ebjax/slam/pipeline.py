@@ -146,6 +146,7 @@ def run(
             ranking=config.ranking,
             min_support=MIN_SUPPORT,
             seed=config.seed,
+            cells=np.asarray(described.cells),
         ),
     )
     stage("search", start)
