@@ -4,9 +4,11 @@ import functools
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 WINDOW = (0.25, 0.5, 0.25)
+BORDER_PX = 6
+MAX_STEP_PX = 0.75
 
 
 def _blur(image: Float[Array, "H W"], times: int) -> Float[Array, "H W"]:
@@ -20,14 +22,19 @@ def _blur(image: Float[Array, "H W"], times: int) -> Float[Array, "H W"]:
     return image
 
 
-def corner_response(grey: Float[Array, "H W"], seen: Bool[Array, "H W"]) -> Float[Array, "H W"]:
-    """The smaller eigenvalue of the structure tensor over about 5 x 5 pixels; 0 near the edge of the seen part."""
+def structure_tensor(grey: Float[Array, "H W"], seen: Bool[Array, "H W"]) -> tuple[Array, Array, Array]:
+    """Products of the gradient g_x g_x, g_x g_y, g_y g_y, summed over about 5 x 5 pixels."""
     smooth = _blur(jnp.where(seen, grey, 0), 1)
     gx = jnp.pad((smooth[:, 2:] - smooth[:, :-2]) / 2, ((0, 0), (1, 1)))
     gy = jnp.pad((smooth[2:] - smooth[:-2]) / 2, ((1, 1), (0, 0)))
-    xx, xy, yy = (_blur(product, 2) for product in (gx * gx, gx * gy, gy * gy))
-    response = (xx + yy) / 2 - jnp.sqrt(((xx - yy) / 2) ** 2 + xy**2 + 1e-20)
-    return jnp.where(erode(seen, 6), response, 0)
+    return _blur(gx * gx, 2), _blur(gx * gy, 2), _blur(gy * gy, 2)
+
+
+def smaller_eigenvalue(
+    xx: Float[Array, "H W"], xy: Float[Array, "H W"], yy: Float[Array, "H W"]
+) -> Float[Array, "H W"]:
+    """Of the matrix [[xx, xy], [xy, yy]]."""
+    return (xx + yy) / 2 - jnp.sqrt(((xx - yy) / 2) ** 2 + xy**2 + 1e-20)
 
 
 def _running(image: Float[Array, "H W"], radius: int, combine, fill: float) -> Float[Array, "H W"]:
@@ -49,7 +56,7 @@ def erode(seen: Bool[Array, "H W"], radius: int) -> Bool[Array, "H W"]:
 def find_corners(
     grey: Float[Array, "H W"], seen: Bool[Array, "H W"], *, count: int = 400, radius: int = 3
 ) -> tuple[Float[Array, "K 2"], Float[Array, "K"], Bool[Array, "K"]]:
-    """The strongest local maxima of the corner response, refined by one parabola per axis.
+    """The strongest local maxima of the corner response, refined to a fraction of a pixel.
 
     Args:
       grey: in [0, 1].
@@ -60,19 +67,31 @@ def find_corners(
     Returns:
       Points (x, y) px, responses, and which rows hold a corner (at least 1e-4 of the strongest response).
     """
-    response = corner_response(grey, seen)
+    xx, xy, yy = structure_tensor(grey, seen)
+    response = jnp.where(erode(seen, BORDER_PX), smaller_eigenvalue(xx, xy, yy), 0)
     local_maximum = _running(response, radius, jnp.maximum, -jnp.inf)
     peaks = jnp.where((response >= local_maximum) & (response > 0), response, 0)
     strength, index = jax.lax.top_k(peaks.reshape(-1), min(count, peaks.size))
-    width = grey.shape[1]
-    y, x = index // width, index % width
-
-    def refine(before, at, after):
-        curvature = before - 2 * at + after
-        return jnp.where(curvature < 0, jnp.clip(0.5 * (before - after) / curvature, -0.5, 0.5), 0)
-
-    read = lambda dy, dx: response[jnp.clip(y + dy, 0, grey.shape[0] - 1), jnp.clip(x + dx, 0, width - 1)]  # noqa: E731
-    at = read(0, 0)
-    points = jnp.stack([x + refine(read(0, -1), at, read(0, 1)), y + refine(read(-1, 0), at, read(1, 0))], -1)
+    row, column = index // grey.shape[1], index % grey.shape[1]
+    # The smaller eigenvalue has creases where the two swap; log det / trace is smooth and peaks at the same place.
+    surface = jnp.log(jnp.maximum(xx * yy - xy * xy, 0) / (xx + yy + 1e-12) + 1e-9)
+    points = jnp.stack([column, row], -1) + _newton_step(surface, row, column)
     valid = strength > jnp.maximum(1e-4 * strength[0], 1e-12)
     return points.astype(grey.dtype), strength, valid
+
+
+def _newton_step(surface: Float[Array, "H W"], row: Int[Array, " K"], column: Int[Array, " K"]) -> Float[Array, "K 2"]:
+    """From a pixel to the top (x, y) of the paraboloid through its neighbours; nothing where it has none."""
+
+    def read(dy: int, dx: int) -> Array:
+        y, x = jnp.clip(row + dy, 0, surface.shape[0] - 1), jnp.clip(column + dx, 0, surface.shape[1] - 1)
+        return surface[y, x]
+
+    gx, gy = (read(0, 1) - read(0, -1)) / 2, (read(1, 0) - read(-1, 0)) / 2
+    xx, yy = (read(0, 1) - 2 * read(0, 0) + read(0, -1)), (read(1, 0) - 2 * read(0, 0) + read(-1, 0))
+    xy = (read(1, 1) - read(1, -1) - read(-1, 1) + read(-1, -1)) / 4
+    determinant = xx * yy - xy * xy
+    peak = (xx < 0) & (determinant > 0)
+    scale = jnp.where(peak, 1 / jnp.where(peak, determinant, 1), 0)
+    step = jnp.stack([xy * gy - yy * gx, xy * gx - xx * gy], -1) * scale[:, None]
+    return jnp.clip(step, -MAX_STEP_PX, MAX_STEP_PX)

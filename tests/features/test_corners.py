@@ -1,9 +1,9 @@
 import cv2
 import jax.numpy as jnp
 import numpy as np
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter, shift
 
-from ebjax.features.corners import corner_response, erode, find_corners
+from ebjax.features.corners import erode, find_corners, smaller_eigenvalue, structure_tensor
 
 
 def texture(size=(120, 150), seed=0):
@@ -20,9 +20,11 @@ def squares():
 
 def test_response_orders_places_as_opencv_does():
     grey = texture()
-    ours = np.asarray(corner_response(jnp.asarray(grey), jnp.ones(grey.shape, bool)))[10:-10, 10:-10]
+    tensor = structure_tensor(jnp.asarray(grey), jnp.ones(grey.shape, bool))
+    ours = np.asarray(smaller_eigenvalue(*tensor))[10:-10, 10:-10]
     theirs = cv2.cornerMinEigenVal(cv2.GaussianBlur(grey, (3, 3), 0), 5, 3)[10:-10, 10:-10]
-    assert np.corrcoef(ours.ravel(), theirs.ravel())[0, 1] > 0.97
+    # OpenCV's window is a box, ours a binomial.
+    assert np.corrcoef(ours.ravel(), theirs.ravel())[0, 1] > 0.94
 
 
 def test_corners_are_opencvs_good_features():
@@ -45,7 +47,7 @@ def test_corners_of_a_square_are_found_first_and_sharply():
 
 def test_subpixel_position_follows_a_shift():
     grey = texture()
-    moved = cv2.warpAffine(grey, np.array([[1, 0, 0.4], [0, 1, -0.3]]), grey.shape[::-1], flags=cv2.INTER_CUBIC)
+    moved = shift(grey, (-0.3, 0.4), order=5, mode="nearest")
     seen = jnp.ones(grey.shape, bool)
     one, _, ok = find_corners(jnp.asarray(grey), seen, count=60)
     two, _, also = find_corners(jnp.asarray(moved), seen, count=60)
@@ -53,7 +55,8 @@ def test_subpixel_position_follows_a_shift():
     difference = two[np.linalg.norm(one[:, None] - two[None], axis=2).argmin(1)] - one
     near = np.linalg.norm(difference, axis=1) < 1.5
     assert near.mean() > 0.8
-    np.testing.assert_allclose(np.median(difference[near], axis=0), [0.4, -0.3], atol=0.06)
+    assert np.median(np.abs(difference[near] - [0.4, -0.3])) < 0.15
+    np.testing.assert_allclose(np.median(difference[near], axis=0), [0.4, -0.3], atol=0.03)
 
 
 def test_no_corner_near_what_is_not_seen():

@@ -102,6 +102,8 @@ def test_agrees_with_opencv_upright_sift():
     keypoints = [cv2.KeyPoint(float(x), float(y), 2 * bin_px / 3, 0.0) for x, y in at]
     image = np.rint(255 * np.asarray(grey)).astype(np.uint8)
     _, theirs = cv2.SIFT.create().compute(image, keypoints)
+    # OpenCV counts orientations with y up.
+    theirs = theirs.reshape(-1, 4, 4, 8)[..., -np.arange(8) % 8].reshape(-1, 128)
     theirs = root_normalise(jnp.asarray(theirs, jnp.float64))
     ours, _ = describe(pool_orientations(grey, jnp.ones(size), bin_px), jnp.asarray(at, jnp.float64))
     similarity = np.asarray(ours) @ np.asarray(theirs).T
