@@ -26,7 +26,7 @@ LUMA = (0.299, 0.587, 0.114)
 MAX_SUPERSAMPLE = 8
 KEEP = 1000
 MAX_LOG10_FALSE_ALARMS = -12.0
-"""Below 0 would do for independent matches; the lines that any two corridors share take it to -8, a common floor to -25."""
+"""Below 0 would do for independent matches; the lines of any two corridors reach -8, a common floor -25 and less."""
 
 
 @dataclasses.dataclass(frozen=True)

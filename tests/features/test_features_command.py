@@ -87,7 +87,7 @@ def test_metric_floor_and_depth_measure_the_motion_to_millimetres(written, a_fro
     near = transform(made.image_b_from_a, corners)
     assert np.linalg.norm(transform(records["floor + pi"]["image_b_from_a"], corners) - near, axis=1).max() < 2
 
-    rows = list(csv.DictReader((folder / "metric" / "matches.csv").open()))
+    rows = list(csv.DictReader((folder / "metric" / "matches.csv").read_text().splitlines()))
     a, b = (np.array([[float(row[f"{c}_{k}"]) for c in "xy"] for row in rows]) for k in "ab")
     inliers = np.array([row["inlier"] == "1" for row in rows])
     assert inliers.sum() == records["floor + pi"]["guided_inliers"]
@@ -118,9 +118,9 @@ def test_raw_images_alone_say_that_there_is_no_floor(written):
         (["a.png", "cut.png"], "cut.png: truncated or damaged PNG; copy it again"),
         (["a.png", "small.png"], "small.png: 100x80 pixels, but a.png has 480x360"),
         (["a.png", "small.png", "--camera", "camera.json"], "small.png: 100x80 pixels, but camera.json says 480x360"),
-        (["a.png", "b.png", "--quad", *"10 10 500 10 400 300 10 300".split()], "--quad: (500, 10) lies outside"),
-        (["a.png", "b.png", "--quad", *"10 10 100 10 200 10 10 300".split()], "--quad: three of the points"),
-        (["a.png", "b.png", "--quad", *"10 10 10 300 400 300 400 10".split()], "--quad: not a convex patch in order"),
+        (["a.png", "b.png", "--quad", 10, 10, 500, 10, 400, 300, 10, 300], "--quad: (500, 10) lies outside"),
+        (["a.png", "b.png", "--quad", 10, 10, 100, 10, 200, 10, 10, 300], "--quad: three of the points"),
+        (["a.png", "b.png", "--quad", 10, 10, 10, 300, 400, 300, 400, 10], "--quad: not a convex patch in order"),
         (["a.png", "b.png", "--size", "5"], "--size is 5; give 50 to 2000 px"),
         (["a.png", "b.png", "--depth-a", "depth_a.png"], "--depth-a and --depth-b go together"),
         (["a.png", "b.png", "--model", "rigid"], "--model rigid needs --camera"),

@@ -52,8 +52,6 @@ def test_depth_measurement_weighs_by_range():
 
 
 def test_covariance_is_what_monte_carlo_finds():
-    pairs = [make(noise=0.01, seed=seed) for seed in range(400)]
-    pairs = [(i, make(noise=0.0)[1]) for i, _ in pairs]
     random = np.random.default_rng(1)
     clean_i, points_j = make(noise=0.0)
     noisy = clean_i[None] + 0.01 * random.standard_normal((400, 40, 2))

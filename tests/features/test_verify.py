@@ -40,7 +40,6 @@ def test_finds_the_motion_and_its_inliers(model):
         query, reference, query.keypoints, reference.keypoints, key=jax.random.key(0), tolerance=0.02, model=model
     )
     assert int(found.total) >= int(found.count) >= 65
-    assert set(np.asarray(found.query)[np.asarray(found.inliers)]) <= set(range(70)) | set(range(70, 120))
     assert np.mean(np.asarray(found.query)[np.asarray(found.inliers)] < 70) > 0.95
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1.0]])
     np.testing.assert_allclose(
