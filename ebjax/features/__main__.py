@@ -2,6 +2,7 @@
 
 import csv
 import json
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -10,12 +11,16 @@ import numpy as np
 import tyro
 
 from ebjax.command import run
+from ebjax.features.extractor import EXTRACTORS, extractor
+from ebjax.features.pair import Comparison, PlaneView, compare, extract, metric_view, quad_view, raw_view
+from ebjax.features.record import FLOOR, RAW, TURNED, conventions, describe, measure
+from ebjax.geometry.camera import Camera, FloorView
+from ebjax.geometry.ransac import Model
 from ebjax.io.atomic import whole_folder
 from ebjax.io.camera_file import CameraFile, read_camera
 from ebjax.io.images import depth_share, read_depth, read_image
-
-MIN_DEPTHS = 5
-RAW, FLOOR, TURNED = "raw", "floor", "floor + pi"
+from ebjax.slam.view import choose_floor
+from ebjax.viz import figures
 
 
 @dataclass(frozen=True)
@@ -90,16 +95,6 @@ def checked_quad(values: tuple[float, ...], width: int, height: int) -> np.ndarr
     return quad
 
 
-def number_list(array: Any) -> Any:
-    """Nested lists of floats, for JSON."""
-    return np.asarray(array, np.float64).tolist()
-
-
-def unit(homography: np.ndarray) -> np.ndarray:
-    """Scales a homography to h33 = 1."""
-    return homography / homography[2, 2]
-
-
 def main(config: Config) -> None:
     """Reads, matches, prints the table, writes."""
     check(config)
@@ -113,9 +108,10 @@ def main(config: Config) -> None:
     quad = None if config.quad is None else checked_quad(config.quad, width, height)
     depths = read_depths(config, camera_file)
 
-    from ebjax.features.extractor import EXTRACTORS
-
-    views = make_views(config, camera_file, quad, width, height)
+    camera = None
+    if camera_file is not None:
+        camera = Camera(camera_file.intrinsics, camera_file.base_from_camera, width, height)
+    views = make_views(config, camera, quad, width, height)
     names = list(EXTRACTORS) if config.extractor == "all" else [config.extractor]
     records, comparisons = [], []
     print(f"{'':10}" + "".join(f"{name:>16}" for name in (RAW, FLOOR, TURNED) if name == RAW or FLOOR in views))
@@ -125,8 +121,8 @@ def main(config: Config) -> None:
             view = views[RAW if kind == RAW else FLOOR]
             comparisons.append(comparison)
             records.append(describe(name, kind, model, comparison, view, config.size))
-            if camera_file is not None and kind != RAW:
-                records[-1] |= measure(comparison, camera_file, depths)
+            if camera is not None and kind != RAW:
+                records[-1] |= measure(comparison, camera, depths)
             row += f"{f'{comparison.inliers} / {comparison.total}':>14}" + (" *" if comparison.believed else "  ")
         print(row.rstrip())
     print("inliers / matches; * more than chance would show")
@@ -138,7 +134,7 @@ def main(config: Config) -> None:
         "a": str(config.a),
         "b": str(config.b),
         "image_size": [width, height],
-        "view": conventions(config, views, quad),
+        "view": conventions(config.size, config.margin, views.get(FLOOR), quad),
         "best": best,
         "results": records,
     }
@@ -162,23 +158,11 @@ def read_depths(config: Config, camera_file: CameraFile | None) -> tuple[np.ndar
     return depths[0], depths[1]
 
 
-def to_camera(camera_file: CameraFile) -> Any:
-    """The camera as the geometry knows it."""
-    from ebjax.geometry.camera import Camera
-
-    return Camera(camera_file.intrinsics, camera_file.base_from_camera, camera_file.width, camera_file.height)
-
-
 def make_views(
-    config: Config, camera_file: CameraFile | None, quad: np.ndarray | None, width: int, height: int
-) -> dict[str, Any]:
+    config: Config, camera: Camera | None, quad: np.ndarray | None, width: int, height: int
+) -> dict[str, PlaneView]:
     """The raw view and, where the floor is known, the floor view: the quad's, or the floor ahead of the camera."""
-    from ebjax.features.pair import metric_view, quad_view, raw_view
-    from ebjax.geometry.camera import FloorView
-    from ebjax.slam.view import choose_floor
-
     views = {RAW: raw_view(width, height)}
-    camera = None if camera_file is None else to_camera(camera_file)
     if quad is not None:
         views[FLOOR] = quad_view(quad, config.size, config.margin, camera)
     elif camera is not None:
@@ -191,11 +175,10 @@ def make_views(
     return views
 
 
-def compare_all(config: Config, name: str, views: dict[str, Any], image_a: np.ndarray, image_b: np.ndarray) -> Any:
+def compare_all(
+    config: Config, name: str, views: dict[str, PlaneView], image_a: np.ndarray, image_b: np.ndarray
+) -> Iterator[tuple[str, Comparison, Model]]:
     """Yields (input, comparison, model) for the raw images, the floor views, and the floor views with R_pi."""
-    from ebjax.features.extractor import extractor
-    from ebjax.features.pair import compare, extract
-
     chosen = extractor(name)
     for place, view in views.items():
         model = config.model
@@ -214,77 +197,6 @@ def compare_all(config: Config, name: str, views: dict[str, Any], image_a: np.nd
                 seed=config.seed,
             )
             yield (TURNED if opposing else place), comparison, model
-
-
-def describe(name: str, kind: str, model: str, comparison: Any, view: Any, size: int) -> dict[str, Any]:
-    """One line of the table with its homographies, for transform.json."""
-    record: dict[str, Any] = {"extractor": name, "input": kind, "model": model}
-    record |= {"inliers": comparison.inliers, "total": comparison.total, "believed": comparison.believed}
-    record |= {"guided_inliers": int(comparison.matched.count) if comparison.believed else None}
-    if not comparison.inliers:
-        return record
-    plane_b_from_a = np.linalg.inv(comparison.a_from_b)
-    plane_from_image = view.plane_from_view @ np.linalg.inv(view.image_from_view)
-    record["image_b_from_a"] = number_list(unit(np.linalg.inv(plane_from_image) @ plane_b_from_a @ plane_from_image))
-    if kind != RAW:
-        turned = np.array([[-1.0, 0, size], [0, -1.0, size], [0, 0, 1]])
-        turn = kind == TURNED and not view.metric
-        record["floor_b_from_a"] = number_list(unit(turned @ plane_b_from_a if turn else plane_b_from_a))
-    return record
-
-
-def measure(comparison: Any, camera_file: CameraFile, depths: tuple[np.ndarray, np.ndarray] | None) -> dict[str, Any]:
-    """a_from_b on the metric floor and, with depth, from 3D points."""
-    import jax.numpy as jnp
-
-    from ebjax.features.measure import lift, measure_depth, measure_floor
-
-    if comparison.inliers < MIN_DEPTHS:
-        return {}
-    matched = comparison.matched
-    q, r, inliers = matched.query, matched.reference, matched.inliers
-    record = {"a_from_b": motion(measure_floor(comparison.plane[0][q], comparison.plane[1][r], inliers))}
-    if depths is None:
-        return record
-    camera = to_camera(camera_file)
-    lifted = [
-        lift(p, jnp.asarray(d, p.dtype), camera)
-        for p, d in zip((comparison.pixels[0][q], comparison.pixels[1][r]), depths, strict=True)
-    ]
-    (points_a, range_a), (points_b, range_b) = lifted
-    deep = inliers & (range_a > 0) & (range_b > 0)
-    count = int(deep.sum())
-    found = motion(measure_depth(points_a, points_b, deep, jnp.maximum(range_a, range_b)))
-    return record | {"a_from_b_depth": found if count >= MIN_DEPTHS else None, "inliers_with_depth": count}
-
-
-def motion(found: Any) -> dict[str, Any]:
-    """A measurement for transform.json."""
-    x, y, theta = (float(v) for v in found.i_from_j)
-    covariance = number_list(found.covariance)
-    return {"x_m": x, "y_m": y, "theta_rad": theta, "covariance": covariance, "residual_m": float(found.residual_m)}
-
-
-def conventions(config: Config, views: dict[str, Any], quad: np.ndarray | None) -> dict[str, Any]:
-    """What the coordinates in transform.json mean."""
-    meaning: dict[str, Any] = {
-        "image_b_from_a": "(x, y, 1) px of A -> px of B; the centre of the top-left pixel is (0, 0); up to scale",
-        "size": config.size,
-        "margin": config.margin if quad is not None else 0.0,
-        "quad": None if quad is None else number_list(quad),
-    }
-    if FLOOR not in views:
-        return meaning
-    s = config.size
-    if views[FLOOR].metric:
-        meaning["floor_b_from_a"] = "(x, y, 1) m on the floor in A's base (x forward, y left) -> in B's base"
-        meaning["a_from_b"] = "p_a = R(theta) p_b + (x, y); covariance of (x, y, theta) in its right tangent; m, rad"
-    else:
-        meaning["floor_b_from_a"] = (
-            f"(u, v, 1) of A's floor view -> of B's; the quad's corners are (0, 0), ({s}, 0), ({s}, {s}), (0, {s}), "
-            f"continuous; for the input {TURNED!r} B's view is turned by pi: (u, v) -> ({s} - u, {s} - v)"
-        )
-    return meaning
 
 
 def print_best(record: dict[str, Any]) -> None:
@@ -309,11 +221,14 @@ def print_best(record: dict[str, Any]) -> None:
 
 
 def write(
-    out: Path, result: dict[str, Any], comparison: Any, record: dict[str, Any], image_a: np.ndarray, image_b: np.ndarray
+    out: Path,
+    result: dict[str, Any],
+    comparison: Comparison,
+    record: dict[str, Any],
+    image_a: np.ndarray,
+    image_b: np.ndarray,
 ) -> None:
     """Writes the three files, all or none."""
-    from ebjax.viz import figures
-
     matched = comparison.matched
     rows = np.flatnonzero(np.asarray(matched.matched))
     points_a = np.asarray(comparison.pixels[0], np.float64)[np.asarray(matched.query)[rows]]

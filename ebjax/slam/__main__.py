@@ -207,6 +207,7 @@ def run_metrics(sequence: Sequence, frames: Frames, result: Result, centre_m: np
         key = "paper_recall" if name == "paper" else f"recall_at_1_{name}"
         metrics[key] = share
         metrics[f"{key}_queries"] = queries
+        metrics[f"{key}_radius_m"] = round(radius, 3)
         if name == "1m":
             right = pairs[np.arange(len(first)), np.maximum(first, 0)] & opposing
             metrics["p100_1m"] = precision_100(-distance[valid].astype(np.float64), right[valid])

@@ -24,11 +24,3 @@ def matrices(poses: Float[np.ndarray, "N 3"], like: Float[np.ndarray, "N 4 4"] |
         turn = turn @ level
     turn[:, :2, 3] = poses[:, :2]
     return turn
-
-
-def between(a: Float[np.ndarray, "K 3"], b: Float[np.ndarray, "K 3"]) -> Float[np.ndarray, "K 3"]:
-    """a^-1 b: pose b seen from pose a, heading in (-pi, pi]."""
-    d = b - a
-    c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
-    heading = np.arctan2(np.sin(d[:, 2]), np.cos(d[:, 2]))
-    return np.stack([c * d[:, 0] + s * d[:, 1], c * d[:, 1] - s * d[:, 0], heading], 1)
