@@ -73,25 +73,32 @@ def find_corners(
     peaks = jnp.where((response >= local_maximum) & (response > 0), response, 0)
     strength, index = jax.lax.top_k(peaks.reshape(-1), min(count, peaks.size))
     row, column = index // grey.shape[1], index % grey.shape[1]
-    # The smaller eigenvalue has creases where the two swap; log det / trace is smooth and peaks at the same place.
-    surface = jnp.log(jnp.maximum(xx * yy - xy * xy, 0) / (xx + yy + 1e-12) + 1e-9)
-    points = jnp.stack([column, row], -1) + _newton_step(surface, row, column)
+    points = jnp.stack([column, row], -1) + _newton_step(xx, xy, yy, row, column)
     valid = strength > jnp.maximum(1e-4 * strength[0], 1e-12)
     return points.astype(grey.dtype), strength, valid
 
 
-def _newton_step(surface: Float[Array, "H W"], row: Int[Array, " K"], column: Int[Array, " K"]) -> Float[Array, "K 2"]:
-    """From a pixel to the top (x, y) of the paraboloid through its neighbours; nothing where it has none."""
+def _newton_step(
+    xx: Float[Array, "H W"],
+    xy: Float[Array, "H W"],
+    yy: Float[Array, "H W"],
+    row: Int[Array, " K"],
+    column: Int[Array, " K"],
+) -> Float[Array, "K 2"]:
+    """From a pixel to the top (x, y) of a paraboloid through log(det / trace) around it; nothing where it has none.
 
-    def read(dy: int, dx: int) -> Array:
-        y, x = jnp.clip(row + dy, 0, surface.shape[0] - 1), jnp.clip(column + dx, 0, surface.shape[1] - 1)
-        return surface[y, x]
-
-    gx, gy = (read(0, 1) - read(0, -1)) / 2, (read(1, 0) - read(-1, 0)) / 2
-    xx, yy = (read(0, 1) - 2 * read(0, 0) + read(0, -1)), (read(1, 0) - 2 * read(0, 0) + read(-1, 0))
-    xy = (read(1, 1) - read(1, -1) - read(-1, 1) + read(-1, -1)) / 4
-    determinant = xx * yy - xy * xy
-    peak = (xx < 0) & (determinant > 0)
+    The smaller eigenvalue has creases where the two swap; det / trace is smooth and peaks at the same place.
+    """
+    offset = jnp.arange(-1, 2, dtype=row.dtype)
+    y = jnp.clip(row[:, None] + offset[None, :], 0, xx.shape[0] - 1)[:, :, None]
+    x = jnp.clip(column[:, None] + offset[None, :], 0, xx.shape[1] - 1)[:, None, :]
+    xx, xy, yy = xx[y, x], xy[y, x], yy[y, x]
+    f = jnp.log(jnp.maximum(xx * yy - xy * xy, 0) / (xx + yy + 1e-12) + 1e-9)
+    gx, gy = (f[:, 1, 2] - f[:, 1, 0]) / 2, (f[:, 2, 1] - f[:, 0, 1]) / 2
+    hxx, hyy = f[:, 1, 2] - 2 * f[:, 1, 1] + f[:, 1, 0], f[:, 2, 1] - 2 * f[:, 1, 1] + f[:, 0, 1]
+    hxy = (f[:, 2, 2] - f[:, 2, 0] - f[:, 0, 2] + f[:, 0, 0]) / 4
+    determinant = hxx * hyy - hxy * hxy
+    peak = (hxx < 0) & (determinant > 0)
     scale = jnp.where(peak, 1 / jnp.where(peak, determinant, 1), 0)
-    step = jnp.stack([xy * gy - yy * gx, xy * gx - xx * gy], -1) * scale[:, None]
+    step = jnp.stack([hxy * gy - hyy * gx, hxy * gx - hxx * gy], -1) * scale[:, None]
     return jnp.clip(step, -MAX_STEP_PX, MAX_STEP_PX)
