@@ -74,7 +74,8 @@ def find_corners(
     strength, index = jax.lax.top_k(peaks.reshape(-1), min(count, peaks.size))
     row, column = index // grey.shape[1], index % grey.shape[1]
     points = jnp.stack([column, row], -1) + _newton_step(xx, xy, yy, row, column)
-    valid = strength > jnp.maximum(1e-4 * strength[0], 1e-12)
+    # Not strength[0]: a slice of its result makes XLA sort the whole view instead of selecting.
+    valid = strength > jnp.maximum(1e-4 * jnp.max(peaks), 1e-12)
     return points.astype(grey.dtype), strength, valid
 
 
