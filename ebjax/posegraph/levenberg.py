@@ -1,8 +1,8 @@
-"""Pose-graph optimisation: Levenberg-Marquardt of optimistix with a sparse step on the manifold.
+"""Pose-graph optimisation: Levenberg-Marquardt on the manifold with a sparse step, run by optimistix.
 
-Minimises sum_k rho(r_k^T information_k r_k) (Early Bird, section III-D, with Cauchy's rho). Optimistix runs the outer
-loop; `_SparseDescent` assembles the block Hessian once per accepted step and solves H + damping I; damping starts at
-1e-5 and moves by factors of ten; the loop ends after a step whose predicted and actual decrease are below `rtol`.
+Minimises sum_k rho(r_k^T information_k r_k) (Early Bird, section III-D, with Cauchy's rho). A step solves
+(H + damping I) delta = -gradient with the graph's own blocks, where optimistix's LevenbergMarquardt would build a
+dense or matrix-free Jacobian. Damping starts at 1e-5 and moves by factors of ten.
 """
 
 from dataclasses import dataclass
@@ -12,16 +12,19 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optimistix as optx
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from ebjax.geometry.lie import GROUPS
-from ebjax.posegraph.assembly import assemble, damped
+from ebjax.posegraph.assembly import System, assemble, damped
 from ebjax.posegraph.factors import edge_costs, gauss_newton_blocks
 from ebjax.posegraph.graph import PoseGraph
 from ebjax.posegraph.linear import Structure, linear_solve
 
 STATUS = ("converged", "steps used up", "stalled at the largest damping", "not finite")
+_RUNNING = 1
+_FIRST_DAMPING = 1e-5
 _LARGEST_DAMPING = 1e12
+_FASTEST_RATE = 0.01
 _LATE = 1e-4  # predicted relative decrease below which the kernel's curvature enters: earlier it costs rejected steps
 
 
@@ -39,87 +42,109 @@ class _Edges(NamedTuple):
         return PoseGraph(poses, self.i, self.j, self.measured, self.information, self.robust, self.fixed, group)
 
 
-class _SparseDescent(optx.AbstractDescent):
-    """Levenberg-Marquardt step from the graph's own blocks; `step` returns retract(y, delta) - y.
+class _State(NamedTuple):
+    """`system` and `gradient` belong to the iterate unless it is `moved`; `half` is half its cost."""
 
-    The iterate is (poses, predicted decrease of the cost by the step that led there): the only way for a descent to
-    tell the search how small its step was.
+    system: System
+    gradient: Float[Array, "N d"]
+    moved: Bool[Array, ""]
+    late: Bool[Array, ""]
+    half: Float[Array, ""]
+    initial: Float[Array, ""]
+    decrease: Float[Array, ""]
+    damping: Float[Array, ""]
+    status: Int[Array, ""]
+    steps: Int[Array, ""]
+
+
+class _Levenberg(optx.AbstractLeastSquaresSolver):
+    """One step: linearise if the last step was accepted, solve, try, accept what lowers the cost.
+
+    Steps too small for their decrease to show above rounding are accepted too; `floor` is what rounding of the poses
+    alone makes of half the cost. The end is a step whose predicted and actual decrease are below `rtol` of the cost, or
+    after which that little is left to gain: while the model predicts well and decreases shrink tenfold or faster,
+    they are taken to go on shrinking at that rate, but not more than a hundredfold a step.
     """
 
     edges: _Edges
     structure: Structure
     width: Float[Array, ""]
+    floor: Float[Array, ""]
     group: str = eqx.field(static=True)
     kernel: str = eqx.field(static=True)
+    report: Any = eqx.field(static=True)
+    rtol: float
+    atol: float = 0.0
+    norm: Any = eqx.field(static=True, default=optx.max_norm)
 
-    def _linearise(self, poses, bent):
+    def _linearise(self, poses, late):
         graph = self.edges.graph(poses, self.group)
-        blocks = gauss_newton_blocks(graph, poses, self.kernel, self.width, bent)
+        blocks = gauss_newton_blocks(graph, poses, self.kernel, self.width, late)
         return assemble(graph, self.structure.pattern, blocks, ~self.edges.fixed)
 
-    def init(self, y, f_info_struct):
-        del f_info_struct
-        return (y, *jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(self._linearise, y[0], False)))
-
-    def query(self, y, f_info, state):
-        del state
-        late = (y[1] >= 0) & (y[1] < _LATE * f_info.as_min())
-        return (y, *self._linearise(y[0], late))
-
-    def step(self, step_size, state):
-        (poses, before), system, gradient = state
-        delta = linear_solve(self.structure, damped(system, 1 / step_size), -gradient)
-        lie = GROUPS[self.group]
-        predicted = -jnp.sum(delta * gradient) / 2
-        return (lie.compose(poses, lie.exp(delta)) - poses, predicted - before), optx.RESULTS.successful
-
-
-class _Decrease(optx.AbstractSearch[Any, Any, Any, Any]):
-    """Accepts what lowers the cost, and steps too small for their decrease to show above rounding.
-
-    State: step size = 1 / damping, which moves by factors of ten, and the first cost. `floor` is what rounding of the
-    poses alone makes of the cost.
-    """
-
-    floor: Float[Array, ""]
-
-    def init(self, y, f_info_struct):
-        del f_info_struct
-        return jnp.asarray(1e5, y[1].dtype), jnp.zeros((), y[1].dtype)
-
-    def step(self, first_step, y, y_eval, f_info, f_eval_info, state):
-        size, initial = state
-        cost, before = f_eval_info.as_min(), f_info.as_min()
-        noise = self.floor + jnp.finfo(size.dtype).eps * (1e5 if size.dtype == jnp.float64 else 0) * before
-        accept = first_step | (cost <= before) | ((y_eval[1] <= noise) & (cost <= before + noise))
-        size = jnp.where(first_step, size, jnp.where(accept, size * 10, size / 10))
-        return size, accept, optx.RESULTS.successful, (size, jnp.where(first_step, cost, initial))
-
-
-class _Levenberg(optx.AbstractGaussNewton):
-    """Optimistix's Gauss-Newton loop with the descent and search above, and a stop on the relative decrease."""
-
-    rtol: float
-    atol: float
-    norm: Any = eqx.field(static=True)
-    descent: _SparseDescent
-    search: _Decrease
-    verbose: Any = eqx.field(static=True)
+    def init(self, fn, y, args, options, f_struct, aux_struct, tags):
+        """Half the cost at the start; the first step linearises there."""
+        del options, f_struct, aux_struct, tags
+        shapes = jax.eval_shape(self._linearise, y, False)
+        system, gradient = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
+        half = _half(fn, y, args)
+        damping, decrease = jnp.asarray(_FIRST_DAMPING, half.dtype), jnp.zeros((), half.dtype)
+        status = jnp.where(jnp.isfinite(half), jnp.where(half > 0, _RUNNING, 0), 3)
+        moved, late = jnp.asarray(True), jnp.asarray(False)
+        return _State(system, gradient, moved, late, half, half, decrease, damping, status, jnp.zeros((), jnp.int32))
 
     def step(self, fn, y, args, options, state, tags):
-        new_y, new, aux = super().step(fn, y, args, options, state, tags)
-        before, after, predicted = _half(state), _half(new), new_y[1]
-        accepted = new.num_steps_since_acceptance == 0
-        limit = self.rtol * before + self.search.floor
-        small = accepted & ~state.first_step & (before - after <= limit) & (predicted <= limit)
-        stuck = new.search_state[0] < 1 / _LARGEST_DAMPING
-        terminate = small | stuck | ~jnp.isfinite(after) | (after == 0)
-        return new_y, eqx.tree_at(lambda s: s.terminate, new, terminate), aux
+        """Returns the next iterate, the next state, and nothing else."""
+        del options, tags
+        system, gradient = jax.lax.cond(
+            state.moved, lambda: self._linearise(y, state.late), lambda: (state.system, state.gradient)
+        )
+        delta = linear_solve(self.structure, damped(system, state.damping), -gradient)
+        predicted = -jnp.sum(delta * gradient) / 2
+        lie = GROUPS[self.group]
+        trial = lie.compose(y, lie.exp(delta))
+        half = _half(fn, trial, args)
+        eps = jnp.finfo(half.dtype).eps * (1e5 if half.dtype == jnp.float64 else 0)
+        noise = self.floor + eps * state.half
+        accept = (half <= state.half) | ((predicted <= noise) & (half <= state.half + noise))
+        decrease = state.half - half
+        limit = self.rtol * state.half + self.floor
+        small = accept & (decrease <= limit) & (predicted <= limit)
+        rate = decrease / state.decrease
+        left = decrease * jnp.maximum(rate, _FASTEST_RATE) / (1 - rate)
+        small |= accept & (rate >= 0) & (rate < 0.1) & (left <= limit) & (jnp.abs(predicted - decrease) < predicted / 2)
+        damping = jnp.where(accept, state.damping / 10, state.damping * 10)
+        status = jnp.where(damping > _LARGEST_DAMPING, 2, _RUNNING)
+        status = jnp.where(small | (half == 0), 0, status)
+        new = _State(
+            system,
+            gradient,
+            accept,
+            jnp.where(accept, predicted < _LATE * half, state.late),
+            jnp.where(accept, half, state.half),
+            state.initial,
+            jnp.where(accept, decrease, state.decrease),
+            damping,
+            status,
+            state.steps + 1,
+        )
+        if self.report is not None:
+            jax.debug.callback(self.report, new.steps, 2 * half, accept, state.damping, ordered=True)
+        return jnp.where(accept, trial, y), new, None
+
+    def terminate(self, fn, y, args, options, state, tags):
+        """Whether a status other than running is reached."""
+        del fn, y, args, options, tags
+        return state.status != _RUNNING, optx.RESULTS.successful
+
+    def postprocess(self, fn, y, aux, args, options, state, tags, result):
+        """Nothing to do."""
+        del fn, args, options, state, tags, result
+        return y, aux, {}
 
 
-def _half(state: Any) -> Array:
-    """Half the cost at the last accepted iterate."""
-    return state.f_info.as_min()
+def _half(fn, y, args):
+    return jnp.sum(fn(y, args)[0] ** 2) / 2
 
 
 @jax.tree_util.register_dataclass
@@ -143,7 +168,13 @@ class Solution:
 
 
 def minimise(
-    graph: PoseGraph, structure: Structure, kernel: str, width: Float[Array, ""], max_steps: int, rtol: float
+    graph: PoseGraph,
+    structure: Structure,
+    kernel: str,
+    width: Float[Array, ""],
+    max_steps: int,
+    rtol: float,
+    report: Any = None,
 ) -> Solution:
     """Runs the loop; `i`, `j` may be traced here. Not differentiable by itself: `adjoint.optimum` is."""
     lie = graph.lie
@@ -153,23 +184,13 @@ def minimise(
 
     def residual(y, args):
         edges, width = args
-        costs = edge_costs(edges.graph(y[0], graph.group), y[0], kernel, width)
-        return jax.lax.stop_gradient(jnp.sqrt(costs))
+        return jnp.sqrt(edge_costs(edges.graph(y, graph.group), y, kernel, width))
 
     largest = jnp.max(jnp.abs(start), initial=1)
     traces = jnp.trace(edges.information, axis1=1, axis2=2)
     floor = jnp.sum(traces) * (jnp.finfo(start.dtype).eps * largest) ** 2
-    y0 = (start, jnp.full((), -1, start.dtype))
-    descent = _SparseDescent(edges, structure, width, graph.group, kernel)
-    solver = _Levenberg(rtol, 0.0, optx.max_norm, descent, _Decrease(floor), lambda **_: None)
-    found: optx.Solution = optx.least_squares(
-        residual, solver, y0, (edges, width), max_steps=max_steps + 1, throw=False
-    )
+    solver = _Levenberg(edges, structure, width, floor, graph.group, kernel, report, rtol)
+    found: optx.Solution = optx.least_squares(residual, solver, start, (edges, width), max_steps=max_steps, throw=False)
     state = found.state
-    size, initial = state.search_state
-    cost = 2 * _half(state)
-    status = jnp.where(state.terminate, 0, 1)
-    status = jnp.where(size < 1 / _LARGEST_DAMPING, 2, status)
-    status = jnp.where(jnp.isfinite(cost), status, 3)
-    poses = jnp.where(edges.fixed[:, None], graph.poses, lie.normalise(found.value[0]))
-    return Solution(poses, cost, 2 * initial, state.num_steps - 1, status)
+    poses = jnp.where(edges.fixed[:, None], graph.poses, lie.normalise(found.value))
+    return Solution(poses, 2 * state.half, 2 * state.initial, state.steps, state.status)
