@@ -27,7 +27,7 @@ class Config:
     """Edges the kernel applies to; loops join vertices that are not neighbours in the file."""
     init: Literal["file", "odometry", "spanning-tree", "chordal"] = "file"
     """Starting point; without vertices in the file, file means odometry."""
-    solver: Literal["auto", "elimination", "sparse"] = "auto"
+    solver: Literal["auto", "elimination", "qdldl", "cholmod"] = "auto"
     """Linear solver of a step."""
     max_steps: int = 200
     """Steps tried at most."""

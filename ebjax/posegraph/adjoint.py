@@ -14,9 +14,10 @@ import numpy as np
 
 from ebjax.posegraph.assembly import assemble, matvec
 from ebjax.posegraph.factors import edge_costs, edge_gradients, exact_blocks
+from ebjax.posegraph.gnc import GRADUATED, graduate
 from ebjax.posegraph.graph import PoseGraph
 from ebjax.posegraph.levenberg import minimise
-from ebjax.posegraph.linear import linear_solve
+from ebjax.posegraph.linear import refined_solve
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0, 1, 2, 3))
@@ -30,7 +31,8 @@ def optimum(group: str, kernel: str, max_steps: int, rtol: float, params: tuple,
     poses, measured, information, width = params
     i, j, robust, structure = rest
     graph = PoseGraph(poses, i, j, measured, information, robust, structure.fixed, group)
-    solution = minimise(graph, structure, kernel, width, max_steps, rtol)
+    find = graduate if kernel in GRADUATED else minimise
+    solution = find(graph, structure, kernel, width, max_steps, rtol)
     return solution.poses, solution.cost, solution.initial_cost, solution.iterations, solution.status
 
 
@@ -65,15 +67,9 @@ def _optimum_jvp(group, kernel, max_steps, rtol, primals, tangents):
     delta = jax.lax.custom_linear_solve(
         lambda x: matvec(system, structure.pattern, x),
         -right,
-        lambda _, b: _refined(structure, system, b),
+        lambda _, b: refined_solve(structure, system, b),
         symmetric=True,
     )
     _, (poses_dot, cost_dot) = jax.jvp(moved, (params, jnp.zeros_like(delta)), (tangents[0], delta))
     none = np.zeros((), jax.dtypes.float0)
     return solution, (poses_dot, cost_dot, jnp.zeros_like(solution[2]), none, none)
-
-
-def _refined(structure, system, right):
-    """One step of iterative refinement after the solve."""
-    x = linear_solve(structure, system, right)
-    return x + linear_solve(structure, system, right - matvec(system, structure.pattern, x))

@@ -15,10 +15,13 @@ from ebjax.posegraph.graph import PoseGraph
 
 
 class Pattern(NamedTuple):
-    """Per edge the `slot` of its pair block (S = nowhere) and if it takes the transpose; per slot (first, second)."""
+    """Per edge the `slot` of its pair block (S = nowhere) and if it takes the transpose; per slot (first, second).
+
+    No `flipped` means that none does. Slots without a pair say (0, 0) and stay zero.
+    """
 
     slot: Int[Array | np.ndarray, " E"]
-    flipped: Bool[Array | np.ndarray, " E"]
+    flipped: Bool[Array | np.ndarray, " E"] | None
     first: Int[Array | np.ndarray, " S"]
     second: Int[Array | np.ndarray, " S"]
 
@@ -30,22 +33,31 @@ class System(NamedTuple):
     off: Float[Array, "S d d"]
 
 
-def make_pattern(graph: PoseGraph, rank: Int[np.ndarray, " N"], fill: list[tuple[int, int]] | None = None) -> Pattern:
+def make_pattern(
+    graph: PoseGraph, rank: Int[np.ndarray, " N"] | None = None, fill: list[tuple[int, int]] | None = None
+) -> Pattern:
     """Numbers the pairs of free poses that share an edge, then the pairs in `fill`; the lower `rank` comes first.
 
-    Host code: `i`, `j` and `fixed` must be concrete.
+    Without `rank` a pair is oriented as its first edge. The slots are as many as the edges, and the poses if there is
+    fill: graphs of one size share a compiled program. Host code: `i`, `j` and `fixed` must be concrete.
     """
     i, j, fixed = (np.asarray(x) for x in (graph.i, graph.j, graph.fixed))
     live = ~(fixed[i] | fixed[j]) & (i != j)
-    flipped = rank[i] > rank[j]
+    n = max(len(fixed), 1)
+    if rank is None:
+        _, where, which = np.unique(np.minimum(i, j) * n + np.maximum(i, j), return_index=True, return_inverse=True)
+        flipped = i != i[where[which]]
+    else:
+        flipped = rank[i] > rank[j]
     first, second = np.where(flipped, j, i), np.where(flipped, i, j)
-    n = max(len(rank), 1)
     keys, slot = np.unique((first * n + second)[live], return_inverse=True)
     extra = np.array([a * n + b for a, b in fill or []], keys.dtype)
     keys = np.concatenate([keys, np.setdiff1d(extra, keys)])
-    slots = np.full(len(i), len(keys))
+    room = max(len(i) + (0 if fill is None else n), len(keys))
+    slots = np.full(len(i), room)
     slots[live] = slot
-    return Pattern(slots, flipped, keys // n, keys % n)
+    keys = np.concatenate([keys, np.zeros(room - len(keys), keys.dtype)])
+    return Pattern(slots, flipped if flipped[live].any() else None, keys // n, keys % n)
 
 
 def assemble(
@@ -57,8 +69,10 @@ def assemble(
     gradient = jnp.zeros((n, d), dtype).at[graph.i].add(blocks.gi).at[graph.j].add(blocks.gj)
     diagonal = jnp.zeros((n, d, d), dtype).at[graph.i].add(blocks.ii).at[graph.j].add(blocks.jj)
     off = jnp.zeros((len(pattern.first), d, d), dtype)
-    oriented = jnp.where(pattern.flipped[:, None, None], blocks.ij.swapaxes(-1, -2), blocks.ij)
-    off = off.at[pattern.slot].add(oriented, mode="drop")
+    ij = blocks.ij
+    if pattern.flipped is not None:
+        ij = jnp.where(pattern.flipped[:, None, None], ij.swapaxes(-1, -2), ij)
+    off = off.at[pattern.slot].add(ij, mode="drop")
     eye = jnp.broadcast_to(jnp.eye(d, dtype=dtype), diagonal.shape)
     diagonal = jnp.where(free[:, None, None], diagonal, eye)
     return System(diagonal, off), jnp.where(free[:, None], gradient, 0)

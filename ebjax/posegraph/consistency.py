@@ -2,104 +2,152 @@
 
 Two closures a = (i, j), b = (k, l) and the odometry between their ends make a cycle,
 e = log(i_from_j * j_from_l * l_from_k * k_from_i), which is zero if both are right. They are consistent if
-e^T S^-1 e, with S from the closures' covariances and the odometry walked through, passes a chi-square test with three
-degrees of freedom. SE(2): poses are (x, y, theta), m and rad.
+e^T S^-1 e, with S from the closures' covariances and the odometry walked through, passes a chi-square test with as
+many degrees of freedom as a pose has. SE(2) and SE(3), told apart by the width of a pose; m and rad.
 """
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ebjax.geometry.lie import se2_adjoint, se2_compose, se2_inverse, se2_log, small_matmul
+from ebjax.geometry.lie import GROUPS, small_matmul
+from ebjax.posegraph.robust import CHI2_99
 
-CHI2_99 = 11.345  # 99 % point with three degrees of freedom
-_NODES = 20_000
+_COLOURINGS = 2_000_000  # of one closure each; a search in a graph of K spends K or fewer on every step
+
+
+class Loops(NamedTuple):
+    """Closures to be compared, and the path between them; see `make_loops`."""
+
+    poses: Float[Array, "N P"]
+    walked: Float[Array, "N d d"]
+    i: Int[Array, " K"]
+    j: Int[Array, " K"]
+    i_from_j: Float[Array, "K P"]
+    covariance: Float[Array, "K d d"]
 
 
 def consistent_set(
-    odometry_poses: Float[Array | np.ndarray, "N 3"],
-    step_sigmas: Float[Array | np.ndarray, "*n 3"] | Sequence[float],
+    odometry_poses: Float[Array | np.ndarray, "N P"],
+    step_sigmas: Float[Array | np.ndarray, "*n d"] | Sequence[float],
     i: Int[Array | np.ndarray, " K"],
     j: Int[Array | np.ndarray, " K"],
-    i_from_j: Float[Array | np.ndarray, "K 3"],
-    covariance: Float[Array | np.ndarray, "K 3 3"],
+    i_from_j: Float[Array | np.ndarray, "K P"],
+    covariance: Float[Array | np.ndarray, "K d d"],
     weights: Float[Array | np.ndarray, " K"],
     *,
-    threshold: float = CHI2_99,
+    threshold: float | None = None,
 ) -> Bool[np.ndarray, " K"]:
     """Marks the largest set of mutually consistent closures; of equal ones, the one of largest total weight.
 
     A single closure agrees with itself: one that nothing supports can be returned alone, and telling that from a good
-    one is the caller's part. The search is exact for what occurs in practice (branch and bound; after 20,000 nodes
-    the best set so far is returned, never smaller than the greedy one).
+    one is the caller's part. The search is exact for what occurs in practice (branch and bound; when its budget is
+    spent, with 100 closures after 20,000 nodes, the best set so far is returned, never smaller than the greedy one).
 
     Args:
       odometry_poses: world_from_base along the path.
-      step_sigmas: standard deviations (x m, y m, theta rad) of one odometry step in its own frame, for all or per step.
+      step_sigmas: standard deviations of one odometry step in its own frame, tangent order, for all or per step.
       i: row of the frame the closure is measured in.
       j: row of the frame it measures.
       i_from_j: the measurements.
       covariance: of log(measured^-1 * true).
       weights: what breaks ties, for example inliers; not negative.
-      threshold: on the squared Mahalanobis distance of a cycle.
+      threshold: on the squared Mahalanobis distance of a cycle; None is the 99 % point of chi-square.
     """
     if len(i) == 0:
         return np.zeros(0, bool)
+    d = covariance.shape[-1]
+    sigmas = np.broadcast_to(np.asarray(step_sigmas, float), (len(odometry_poses) - 1, d))
+    loops = make_loops(odometry_poses, sigmas[:, :, None] ** 2 * np.eye(d), i, j, i_from_j, covariance)
+    consistent = np.asarray(all_cycles(loops)) <= (CHI2_99[d] if threshold is None else threshold)
+    return largest_clique(consistent & consistent.T, np.asarray(weights, float))
+
+
+def make_loops(
+    odometry_poses: Float[Array | np.ndarray, "N P"],
+    step_covariance: Float[Array | np.ndarray, "M d d"],
+    i: Int[Array | np.ndarray, " K"],
+    j: Int[Array | np.ndarray, " K"],
+    i_from_j: Float[Array | np.ndarray, "K P"],
+    covariance: Float[Array | np.ndarray, "K d d"],
+) -> Loops:
+    """Prepares closures: every one is turned so that i < j, and the covariance of the path is summed up.
+
+    Step errors are independent, so in the world frame they add up along the path: C_n = sum Ad Q Ad^T, and the
+    odometry from m to n has covariance C_n - C_m.
+    """
     dtype = jnp.result_type(float)
-    poses, z, cov = (jnp.asarray(x, dtype) for x in (odometry_poses, i_from_j, covariance))
-    sigmas = jnp.broadcast_to(jnp.asarray(step_sigmas, dtype), (len(poses) - 1, 3))
-    distance = cycle_distances(poses, sigmas, jnp.asarray(i), jnp.asarray(j), z, cov)
-    return largest_clique(np.asarray(distance <= threshold), np.asarray(weights, float))
+    return _make_loops(
+        *(jnp.asarray(x, dtype) for x in (odometry_poses, step_covariance)),
+        *(jnp.asarray(x) for x in (i, j)),
+        *(jnp.asarray(x, dtype) for x in (i_from_j, covariance)),
+    )
 
 
 @jax.jit
-def cycle_distances(
-    odometry_poses: Float[Array, "N 3"],
-    step_sigmas: Float[Array, "M 3"],
-    i: Int[Array, " K"],
-    j: Int[Array, " K"],
-    i_from_j: Float[Array, "K 3"],
-    covariance: Float[Array, "K 3 3"],
-) -> Float[Array, "K K"]:
-    """Squared Mahalanobis distance of the cycle that every pair of closures makes; symmetric up to second order.
-
-    Step errors are independent, so in the world frame they add up along the path: C_n = sum Ad Q Ad^T, and the
-    odometry from m to n has covariance C_n - C_m. Steps that both halves of a cycle walk through count twice.
-    """
-    centre = jnp.mean(odometry_poses[:, :2], 0, keepdims=True)
-    poses = odometry_poses.at[:, :2].add(-centre)
-    ad = se2_adjoint(poses[1:])
-    steps = jnp.sum(ad[:, :, None, :] * ad[:, None, :, :] * step_sigmas[:, None, None, :] ** 2, -1)
-    walked = jnp.concatenate([jnp.zeros_like(steps[:1]), jnp.cumsum(steps, 0)])
-
-    def between(m, n):
-        relative = se2_compose(se2_inverse(poses[m]), poses[n])
-        spread = jnp.where((n > m)[..., None, None], 1, -1) * (walked[n] - walked[m])
-        return relative, _carry(se2_inverse(poses[n]), spread)
-
-    k = len(i)
-    a, b = jnp.meshgrid(jnp.arange(k), jnp.arange(k), indexing="ij")
-    a, b = a.ravel(), b.ravel()
-    j_from_l, cov_jl = between(j[a], j[b])
-    k_from_i, cov_ki = between(i[b], i[a])
-    tail = se2_compose(se2_inverse(i_from_j[b]), k_from_i)
-    rest = se2_compose(j_from_l, tail)
-    error = se2_log(se2_compose(i_from_j[a], rest))
-    spread = _carry(se2_inverse(rest), covariance[a]) + _carry(se2_inverse(tail), cov_jl + covariance[b]) + cov_ki
-    solved = jnp.linalg.solve(spread, error[:, :, None])[:, :, 0]
-    return jnp.sum(error * solved, -1).reshape(k, k)
+def _make_loops(poses, steps, i, j, measured, covariance):
+    lie = _group(poses)
+    place = slice(0, 2) if lie.dim == 3 else slice(4, 7)
+    poses = poses.at[:, place].add(-jnp.mean(poses[:, place], 0, keepdims=True))
+    ad = lie.adjoint(poses[1:])
+    walked = jnp.cumsum(small_matmul(small_matmul(ad, steps), ad.swapaxes(1, 2)), 0)
+    back = (i > j)[:, None]
+    turned = jnp.where(back, lie.inverse(measured), measured)
+    covariance = jnp.where(back[:, :, None], _carry(lie, measured, covariance), covariance)
+    walked = jnp.concatenate([jnp.zeros_like(walked[:1]), walked])
+    return Loops(poses, walked, jnp.minimum(i, j), jnp.maximum(i, j), turned, covariance)
 
 
-def _carry(pose, covariance):
-    ad = se2_adjoint(pose)
+def _group(poses):
+    return GROUPS["se2" if poses.shape[-1] == 3 else "se3"]
+
+
+def _carry(lie, pose, covariance):
+    ad = lie.adjoint(pose)
     return small_matmul(small_matmul(ad, covariance), ad.swapaxes(-1, -2))
 
 
+def cycle(
+    loops: Loops, a: Int[Array, "*b"], b: Int[Array, "*b"]
+) -> tuple[Float[Array, "*b"], Float[Array, "*b"]]:
+    """Squared Mahalanobis distance of the cycle through closures a and b, and log det S / 2 of its covariance.
+
+    Symmetric in a and b up to second order. Steps that both halves of a cycle walk through count twice.
+    """
+    lie = _group(loops.poses)
+    poses, i, j, z, covariance = loops.poses, loops.i, loops.j, loops.i_from_j, loops.covariance
+
+    def between(m, n):
+        relative = lie.compose(lie.inverse(poses[m]), poses[n])
+        spread = jnp.where((n > m)[..., None, None], 1, -1) * (loops.walked[n] - loops.walked[m])
+        return relative, _carry(lie, lie.inverse(poses[n]), spread)
+
+    j_from_l, cov_jl = between(j[a], j[b])
+    k_from_i, cov_ki = between(i[b], i[a])
+    tail = lie.compose(lie.inverse(z[b]), k_from_i)
+    rest = lie.compose(j_from_l, tail)
+    error = lie.log(lie.compose(z[a], rest))
+    spread = _carry(lie, lie.inverse(rest), covariance[a])
+    spread = spread + _carry(lie, lie.inverse(tail), cov_jl + covariance[b]) + cov_ki
+    root = jnp.linalg.cholesky(spread)
+    white = jax.lax.linalg.triangular_solve(root, error[..., None], left_side=True, lower=True)
+    half = jnp.sum(jnp.log(jnp.diagonal(root, axis1=-2, axis2=-1)), -1)
+    return jnp.sum(white[..., 0] ** 2, -1), half
+
+
+@jax.jit
+def all_cycles(loops: Loops) -> Float[Array, "K K"]:
+    """The distances of all pairs, row by row, so that thousands of closures fit into memory."""
+    every = jnp.arange(len(loops.i))
+    return jax.lax.map(lambda a: cycle(loops, jnp.broadcast_to(a, every.shape), every)[0], every)
+
+
 def largest_clique(
-    consistent: Bool[np.ndarray, "K K"], weights: Float[np.ndarray, " K"], *, nodes: int = _NODES
+    consistent: Bool[np.ndarray, "K K"], weights: Float[np.ndarray, " K"], *, nodes: int | None = None
 ) -> Bool[np.ndarray, " K"]:
     """The largest clique, ties by total weight: branch and bound with greedy colouring as the bound (Tomita)."""
     k = len(weights)
@@ -108,7 +156,7 @@ def largest_clique(
     adjacent, w = adjacent[np.ix_(order, order)], weights[order].tolist()
     masks = [sum(1 << int(q) for q in np.flatnonzero(row)) for row in adjacent]
     best: tuple[int, float, list[int]] = (0, 0.0, [])
-    left = nodes
+    left = _COLOURINGS // max(k, 100) if nodes is None else nodes
 
     def colour(candidates):
         """Candidates by colour class, each with the bounds (count, weight) of everything up to it."""

@@ -3,7 +3,8 @@
 Paths of poses with at most two neighbours are cut into segments; every step eliminates one pose of each segment, all
 segments at once, and the survivors form the next, shorter level. What remains (the ends of the loops) is a dense core
 for one Cholesky factorisation. The order is found once per graph on the host; a level is one `lax.scan` over index
-arrays, so compilation does not grow with the graph and graphs with equal level sizes share it.
+arrays, so compilation does not grow with the graph. Sizes are padded to bounds that follow from the numbers of poses
+and edges, so graphs that agree in these share a compiled program.
 """
 
 from itertools import pairwise
@@ -31,7 +32,7 @@ class Level(NamedTuple):
 
 
 class Elimination(NamedTuple):
-    """The levels, the core's poses, and the core's pair blocks with their row and column in the core."""
+    """The levels, the core's poses (N = none), and the core's pair blocks with their row and column in the core."""
 
     levels: tuple[Level, ...]
     core: Int[Array | np.ndarray, " M"]
@@ -63,16 +64,20 @@ def _paths(left: list[int], neighbours: list[set[int]]) -> list[list[int]]:
     return paths
 
 
+_SEGMENT = (8, 16)  # of the first level, of the others: its last pose stays
+
+
 def order(
-    neighbours: list[set[int]], *, segment: int = 8, small_core: int = 16
+    neighbours: list[set[int]], *, small_core: int = 16
 ) -> tuple[list[list[list[int]]], list[int], list[tuple[int, int]]]:
     """Chooses the elimination: (segments per level, core, pairs that it fills in). Changes `neighbours`. Host code."""
-    levels, fill = [], []
+    levels: list[list[list[int]]] = []
+    fill = []
     left = list(range(len(neighbours)))
     while len(left) > small_core:
         segments = []
         for path in _paths(left, neighbours):
-            pieces = -(-(len(path) + 1) // segment)
+            pieces = -(-(len(path) + 1) // _SEGMENT[bool(levels)])
             cuts = np.linspace(-1, len(path), pieces + 1).round().astype(int)
             segments += [path[x + 1 : y] for x, y in pairwise(cuts)]
         segments = [s for s in segments if s]
@@ -89,9 +94,25 @@ def order(
                     neighbours[a].add(b)
                     neighbours[b].add(a)
         levels.append(segments)
-        segment = 16
         left = [p for p in left if p not in gone]
     return levels, left, fill
+
+
+def bounds(poses: int, loops: int, small_core: int) -> tuple[list[int], int]:
+    """Segments per level and poses in the core that a chain with `loops` more edges does not exceed."""
+    widths: list[int] = []
+    left, cuts = poses, 2 * loops + 1
+    while left > small_core:
+        pieces = -(-left // _SEGMENT[bool(widths)])
+        if pieces + cuts > 0.8 * left:
+            break
+        widths.append(pieces + cuts)
+        left = pieces + cuts
+    return widths, max(left, small_core)
+
+
+def _room(need, bound):
+    return bound if need <= bound <= 1.5 * need + 32 else need
 
 
 def analyse(graph: PoseGraph) -> tuple[Pattern, Elimination]:
@@ -103,12 +124,14 @@ def analyse(graph: PoseGraph) -> tuple[Pattern, Elimination]:
     for a, b in zip(i[live].tolist(), j[live].tolist(), strict=True):
         neighbours[a].add(b)
         neighbours[b].add(a)
-    levels, core, fill = order(neighbours, small_core=128 // graph.lie.dim)
+    widths, core_room = bounds(n, max(len(i) - n + 1, 0), 128 // graph.lie.dim)
+    levels, core, fill = order(neighbours, small_core=core_room)
     rank = np.zeros(n, np.int64)
     rank[[p for segments in levels for s in segments for p in s] + core] = np.arange(n)
     pattern = make_pattern(graph, rank, [(a, b) if rank[a] < rank[b] else (b, a) for a, b in fill])
     none = len(pattern.first)
-    slots = dict(zip(zip(pattern.first.tolist(), pattern.second.tolist(), strict=True), range(none), strict=True))
+    pairs = zip(pattern.first.tolist(), pattern.second.tolist(), strict=True)
+    slots = {(a, b): s for s, (a, b) in enumerate(pairs) if a != b}
     later: list[list[int]] = [[] for _ in range(n)]
     for a, b in slots:
         later[a].append(b)
@@ -117,15 +140,19 @@ def analyse(graph: PoseGraph) -> tuple[Pattern, Elimination]:
         a, b = (*sorted(later[p], key=rank.__getitem__), n, n)[:2]
         return p, a, b, slots.get((p, a), none), slots.get((p, b), none), slots.get((a, b), none)
 
-    plan = []
-    for segments in levels:
-        table = np.empty((6, max(map(len, segments)), len(segments)), np.int32)
+    plan: list[Level] = []
+    levels += [[] for _ in widths[len(levels) :]]
+    widths += [0 for _ in levels[len(widths) :]]
+    for segments, width in zip(levels, widths, strict=True):
+        table = np.empty((6, _SEGMENT[bool(plan)] - 1, _room(len(segments), width)), np.int32)
         table[:3], table[3:] = n, none
         for k, s in enumerate(segments):
             table[:, : len(s), k] = np.array([row(p) for p in s]).T
         plan.append(Level(*table))
     place = {p: k for k, p in enumerate(core)}
     inner = [(s, place[a], place[b]) for (a, b), s in slots.items() if a in place and b in place]
+    inner += [(none, 0, 0)] * (2 * core_room - len(inner))
+    core += [n] * (_room(len(core), core_room) - len(core))
     slot, rows, columns = np.array(inner, np.int32).reshape(-1, 3).T
     return pattern, Elimination(tuple(plan), np.array(core, np.int32), slot, rows, columns)
 
@@ -198,8 +225,8 @@ def _solve_core(plan, diagonal, off, g):
         return g[plan.core]
     dense = jnp.zeros((m, m, d, d), g.dtype)
     dense = dense.at[np.arange(m), np.arange(m)].set(diagonal[plan.core])
-    dense = dense.at[plan.core_row, plan.core_column].set(off[plan.core_slot])
-    dense = dense.at[plan.core_column, plan.core_row].set(off[plan.core_slot].swapaxes(-1, -2))
+    dense = dense.at[plan.core_row, plan.core_column].add(off[plan.core_slot])
+    dense = dense.at[plan.core_column, plan.core_row].add(off[plan.core_slot].swapaxes(-1, -2))
     matrix = dense.transpose(0, 2, 1, 3).reshape(m * d, m * d)
     factor = jnp.linalg.cholesky(matrix)
     return jax.scipy.linalg.cho_solve((factor, True), g[plan.core].reshape(-1)).reshape(m, d)

@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float
 
 from ebjax.geometry.lie import GROUPS, small_matmul
 from ebjax.posegraph.graph import PoseGraph
-from ebjax.posegraph.robust import rho, weight
+from ebjax.posegraph.robust import Width, rho, weight
 
 
 class EdgeBlocks(NamedTuple):
@@ -47,7 +47,7 @@ def squared_residuals(graph: PoseGraph, poses: Float[Array, "N P"]) -> Float[Arr
 
 
 def edge_costs(
-    graph: PoseGraph, poses: Float[Array, "N P"], kernel: str, width: Float[Array, ""]
+    graph: PoseGraph, poses: Float[Array, "N P"], kernel: str, width: Width
 ) -> Float[Array, " E"]:
     """Cost rho(s) of robust edges, s of the others, s = squared residual; the sum is the cost `solve` reports."""
     s = squared_residuals(graph, poses)
@@ -75,7 +75,7 @@ def gauss_newton_blocks(
     graph: PoseGraph,
     poses: Float[Array, "N P"],
     kernel: str,
-    width: Float[Array, ""],
+    width: Width,
     bent: Bool[Array, ""] | None = None,
 ) -> EdgeBlocks:
     """Blocks of J^T W J and J^T W r with W = rho'(s) * information, the reweighted (IRLS) approximation.
@@ -107,7 +107,7 @@ def _spread(jj, cross, ad_t, gj):
 
 
 def edge_gradients(
-    graph: PoseGraph, poses: Float[Array, "N P"], kernel: str, width: Float[Array, ""]
+    graph: PoseGraph, poses: Float[Array, "N P"], kernel: str, width: Width
 ) -> tuple[Float[Array, "E d"], Float[Array, "E d"]]:
     """Gradient of half the cost with respect to both poses of every edge; differentiable in all of the graph."""
     r, jb_t, ad_t = _terms(graph, poses)
@@ -116,7 +116,7 @@ def edge_gradients(
     return -_mv(ad_t, gj), gj
 
 
-def exact_blocks(graph: PoseGraph, poses: Float[Array, "N P"], kernel: str, width: Float[Array, ""]) -> EdgeBlocks:
+def exact_blocks(graph: PoseGraph, poses: Float[Array, "N P"], kernel: str, width: Width) -> EdgeBlocks:
     """Blocks of the true Hessian of half the cost, the curvature of the kernel and of the residual included.
 
     With g(r) = Jr^-T rho' information r the gradient at pose j, the Hessian there is the symmetric part of

@@ -7,6 +7,7 @@ in the tangent order of `ebjax.geometry.lie`: (x, y, theta) or (x, y, z, wx, wy,
 from dataclasses import dataclass, field, replace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
@@ -64,6 +65,32 @@ def make_graph(
         np.ones(len(i), bool) if robust is None else robust,
         np.zeros(len(poses), bool) if fixed is None else fixed,
         "se2" if poses.shape[-1] == 3 else "se3",
+    )
+
+
+def add_priors(
+    graph: PoseGraph,
+    rows: Int[Array | np.ndarray, " K"],
+    world_from_base: Float[Array | np.ndarray, "K P"],
+    information: Float[Array | np.ndarray, "K d d"],
+) -> PoseGraph:
+    """Ties the poses `rows` to measured world poses, by edges from one more pose: the world, last and fixed.
+
+    A prior on pose p costs r^T information r, r = log(measured^-1 * world_from_base_p), without a robust kernel. The
+    pieces of the graph that have one need no fixed pose.
+    """
+    world, count = len(graph.poses), len(rows)
+    identity = jnp.asarray(graph.lie.identity, jnp.asarray(graph.poses).dtype)[None]
+    join = jnp.concatenate
+    return PoseGraph(
+        join([jnp.asarray(graph.poses), identity]),
+        np.concatenate([np.asarray(graph.i), np.full(count, world)]),
+        np.concatenate([np.asarray(graph.j), np.asarray(rows)]),
+        join([jnp.asarray(graph.measured), jnp.asarray(world_from_base)]),
+        join([jnp.asarray(graph.information), jnp.asarray(information)]),
+        np.concatenate([np.asarray(graph.robust), np.zeros(count, bool)]),
+        np.append(np.asarray(graph.fixed), True),
+        graph.group,
     )
 
 

@@ -15,10 +15,11 @@ import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
 from ebjax.geometry.lie import GROUPS
-from ebjax.posegraph.assembly import System, assemble, damped
+from ebjax.posegraph.assembly import assemble, damped
 from ebjax.posegraph.factors import edge_costs, gauss_newton_blocks
 from ebjax.posegraph.graph import PoseGraph
 from ebjax.posegraph.linear import Structure, linear_solve
+from ebjax.posegraph.robust import Width
 
 STATUS = ("converged", "steps used up", "stalled at the largest damping", "not finite")
 _RUNNING = 1
@@ -43,11 +44,8 @@ class _Edges(NamedTuple):
 
 
 class _State(NamedTuple):
-    """`system` and `gradient` belong to the iterate unless it is `moved`; `half` is half its cost."""
+    """`half` is half the cost of the iterate, `initial` of the start, `decrease` what the last accepted step gained."""
 
-    system: System
-    gradient: Float[Array, "N d"]
-    moved: Bool[Array, ""]
     late: Bool[Array, ""]
     half: Float[Array, ""]
     initial: Float[Array, ""]
@@ -58,7 +56,7 @@ class _State(NamedTuple):
 
 
 class _Levenberg(optx.AbstractLeastSquaresSolver):
-    """One step: linearise if the last step was accepted, solve, try, accept what lowers the cost.
+    """One step: linearise, solve, try, accept what lowers the cost.
 
     Steps too small for their decrease to show above rounding are accepted too; `floor` is what rounding of the poses
     alone makes of half the cost. The end is a step whose predicted and actual decrease are below `rtol` of the cost, or
@@ -66,16 +64,16 @@ class _Levenberg(optx.AbstractLeastSquaresSolver):
     they are taken to go on shrinking at that rate, but not more than a hundredfold a step.
     """
 
+    rtol: float
+    atol: float
+    norm: Any = eqx.field(static=True)
     edges: _Edges
     structure: Structure
-    width: Float[Array, ""]
+    width: Width
     floor: Float[Array, ""]
     group: str = eqx.field(static=True)
     kernel: str = eqx.field(static=True)
     report: Any = eqx.field(static=True)
-    rtol: float
-    atol: float = 0.0
-    norm: Any = eqx.field(static=True, default=optx.max_norm)
 
     def _linearise(self, poses, late):
         graph = self.edges.graph(poses, self.group)
@@ -83,23 +81,19 @@ class _Levenberg(optx.AbstractLeastSquaresSolver):
         return assemble(graph, self.structure.pattern, blocks, ~self.edges.fixed)
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags):
-        """Half the cost at the start; the first step linearises there."""
+        """Half the cost at the start."""
         del options, f_struct, aux_struct, tags
-        shapes = jax.eval_shape(self._linearise, y, False)
-        system, gradient = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
         half = _half(fn, y, args)
         damping, decrease = jnp.asarray(_FIRST_DAMPING, half.dtype), jnp.zeros((), half.dtype)
         status = jnp.where(jnp.isfinite(half), jnp.where(half > 0, _RUNNING, 0), 3)
-        moved, late = jnp.asarray(True), jnp.asarray(False)
-        return _State(system, gradient, moved, late, half, half, decrease, damping, status, jnp.zeros((), jnp.int32))
+        return _State(jnp.asarray(False), half, half, decrease, damping, status, jnp.zeros((), jnp.int32))
 
     def step(self, fn, y, args, options, state, tags):
         """Returns the next iterate, the next state, and nothing else."""
         del options, tags
-        system, gradient = jax.lax.cond(
-            state.moved, lambda: self._linearise(y, state.late), lambda: (state.system, state.gradient)
-        )
-        delta = linear_solve(self.structure, damped(system, state.damping), -gradient)
+        system, gradient = self._linearise(y, state.late)
+        running = state.status == _RUNNING  # in a batch the finished ones are carried along: NaN spares their factor
+        delta = linear_solve(self.structure, damped(system, jnp.where(running, state.damping, jnp.nan)), -gradient)
         predicted = -jnp.sum(delta * gradient) / 2
         lie = GROUPS[self.group]
         trial = lie.compose(y, lie.exp(delta))
@@ -117,9 +111,6 @@ class _Levenberg(optx.AbstractLeastSquaresSolver):
         status = jnp.where(damping > _LARGEST_DAMPING, 2, _RUNNING)
         status = jnp.where(small | (half == 0), 0, status)
         new = _State(
-            system,
-            gradient,
-            accept,
             jnp.where(accept, predicted < _LATE * half, state.late),
             jnp.where(accept, half, state.half),
             state.initial,
@@ -171,7 +162,7 @@ def minimise(
     graph: PoseGraph,
     structure: Structure,
     kernel: str,
-    width: Float[Array, ""],
+    width: Width,
     max_steps: int,
     rtol: float,
     report: Any = None,
@@ -189,7 +180,7 @@ def minimise(
     largest = jnp.max(jnp.abs(start), initial=1)
     traces = jnp.trace(edges.information, axis1=1, axis2=2)
     floor = jnp.sum(traces) * (jnp.finfo(start.dtype).eps * largest) ** 2
-    solver = _Levenberg(edges, structure, width, floor, graph.group, kernel, report, rtol)
+    solver = _Levenberg(rtol, 0.0, optx.max_norm, edges, structure, width, floor, graph.group, kernel, report)
     found: optx.Solution = optx.least_squares(residual, solver, start, (edges, width), max_steps=max_steps, throw=False)
     state = found.state
     poses = jnp.where(edges.fixed[:, None], graph.poses, lie.normalise(found.value))

@@ -6,20 +6,21 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from ebjax.posegraph.adjoint import optimum
 from ebjax.posegraph.graph import PoseGraph, check
 from ebjax.posegraph.levenberg import Solution
 from ebjax.posegraph.linear import Structure, analyse
-from ebjax.posegraph.robust import KERNELS
+from ebjax.posegraph.robust import check_kernel, default_width
 
 
 def solve(
     graph: PoseGraph,
     *,
     kernel: str = "cauchy",
-    width: float | Float[Array, ""] = 1.0,
+    width: float | Float[Array, ""] | Float[Array, " E"] | Float[np.ndarray, " E"] | None = None,
     max_steps: int = 200,
     rtol: float = 1e-9,
     solver: str = "auto",
@@ -34,11 +35,12 @@ def solve(
 
     Args:
       graph: without edges, or with fewer than two poses, it is returned as it is, cost 0, converged.
-      kernel: "none", "cauchy", "huber", "geman-mcclure" or "dcs".
-      width: of the kernel, in standard deviations.
+      kernel: "none", "cauchy", "huber", "geman-mcclure", "dcs", "tls", "gnc-tls" or "gnc-gm".
+      width: of the kernel, in standard deviations, one for all edges or one per edge; None is 1, and for tls and the
+        graduated kernels the root of the 99 % point of chi-square with as many degrees of freedom as a pose.
       max_steps: steps tried at most, accepted or not.
       rtol: the loop ends when a step lowers the cost, and promised to lower it, by less than this share.
-      solver: "auto", "elimination" or "sparse"; see `ebjax.posegraph.linear.analyse`.
+      solver: "auto", "elimination", "qdldl" or "cholmod"; see `ebjax.posegraph.linear.analyse`.
       structure: the result of `analyse(graph)`, needed where `i`, `j` or `fixed` are traced.
 
     Returns:
@@ -55,7 +57,7 @@ def compile_solve(graph: PoseGraph, **options: Any) -> Callable[[], Solution]:
     """Compiles `solve(graph, **options)` without running it, so that the two can be timed apart."""
     prepared: dict[str, Any] = {
         "kernel": "cauchy",
-        "width": 1.0,
+        "width": None,
         "max_steps": 200,
         "rtol": 1e-9,
         "solver": "auto",
@@ -71,10 +73,10 @@ def compile_solve(graph: PoseGraph, **options: Any) -> Callable[[], Solution]:
 
 
 def _call(graph, kernel, width, max_steps, rtol, solver, structure, function):
-    if kernel not in KERNELS:
-        raise ValueError(f"kernel {kernel!r} is unknown; choose one of {', '.join(KERNELS)}")
+    check_kernel(kernel)
     check(graph)
     dtype = jnp.asarray(graph.poses).dtype
+    width = default_width(kernel, graph.lie.dim) if width is None else width
     if len(graph.poses) < 2 or len(graph.i) == 0:
         zero, none = jnp.zeros((), dtype), jnp.zeros((), jnp.int32)
         return Solution(jnp.asarray(graph.poses), zero, zero, none, none)

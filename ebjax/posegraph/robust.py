@@ -1,33 +1,70 @@
 """Robust kernels rho(s) of the squared, whitened residual s; rho ~ s for small s, so the cost is sum_k rho(s_k).
 
-`width` is in standard deviations: the residual at which a kernel starts to doubt. Cauchy with width 1 is the paper's.
+`width` is in standard deviations: the residual at which a kernel starts to doubt, one for all edges or one per edge.
+Cauchy with width 1 is the paper's. Residuals are whitened, so s of a right edge with d numbers is chi-square
+distributed with d degrees of freedom: truncated least squares ("tls") wants width^2 at its upper end, and has the 99 %
+point by default.
+
+"gnc-tls" and "gnc-gm" are "tls" and "geman-mcclure" reached by graduated non-convexity (`ebjax.posegraph.gnc`): a
+`Graduated` width has a softness too, large where the kernel is nearly quadratic, 0 where it is the kernel itself.
 """
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+CHI2_99 = {3: 11.345, 6: 16.812}  # 99 % points by degrees of freedom
 
-def _none(s, w2):
+
+class Graduated(NamedTuple):
+    """A kernel's width and its softness; softness + 1 is 1 + 1 / mu of gnc-tls, mu of gnc-gm (Yang et al. 2020)."""
+
+    width: Float[Array, "*e"]
+    softness: Float[Array, ""]
+
+
+Width = Float[Array, ""] | Float[Array, " E"] | Graduated
+
+
+def _none(s, w2, t):
     return s
 
 
-def _cauchy(s, w2):
+def _cauchy(s, w2, t):
     return w2 * jnp.log1p(s / w2)
 
 
-def _huber(s, w2):
+def _huber(s, w2, t):
     beyond = s > w2
     return jnp.where(beyond, 2 * jnp.sqrt(w2 * jnp.where(beyond, s, w2)) - w2, s)
 
 
-def _geman_mcclure(s, w2):
+def _geman_mcclure(s, w2, t):
     return s * w2 / (s + w2)
 
 
-def _dcs(s, w2):
+def _dcs(s, w2, t):
     return jnp.where(s > w2, w2 * (3 * s - w2) / (s + w2), s)
+
+
+def _tls(s, w2, t):
+    near, far = s <= w2 / (1 + t), s >= w2 * (1 + t)
+    between = ~near & ~far
+    middle = (2 * jnp.sqrt(w2 * (1 + t) * jnp.where(between, s, 1)) - w2 - s) / jnp.where(between, t, 1)
+    return jnp.where(between, middle, jnp.where(near, s, w2))
+
+
+def _tls_weight(s, w2, t):
+    near, far = s <= w2 / (1 + t), s >= w2 * (1 + t)
+    between = ~near & ~far
+    middle = (jnp.sqrt(w2 * (1 + t) / jnp.where(between, s, 1)) - 1) / jnp.where(between, t, 1)
+    return jnp.where(between, middle, jnp.where(near, 1.0, 0.0)).astype(s.dtype)
+
+
+def _gnc_gm(s, w2, t):
+    return _geman_mcclure(s, w2 * (1 + t), 0)
 
 
 KERNELS: dict[str, Callable] = {
@@ -36,22 +73,48 @@ KERNELS: dict[str, Callable] = {
     "huber": _huber,
     "geman-mcclure": _geman_mcclure,
     "dcs": _dcs,
+    "tls": _tls,
+    "gnc-tls": _tls,
+    "gnc-gm": _gnc_gm,
 }
 
 WEIGHTS: dict[str, Callable] = {
-    "none": lambda s, w2: jnp.ones_like(s),
-    "cauchy": lambda s, w2: w2 / (w2 + s),
-    "huber": lambda s, w2: jnp.sqrt(w2 / jnp.maximum(s, w2)),
-    "geman-mcclure": lambda s, w2: (w2 / (s + w2)) ** 2,
-    "dcs": lambda s, w2: jnp.minimum(1, 2 * w2 / (s + w2)) ** 2,
+    "none": lambda s, w2, t: jnp.ones_like(s),
+    "cauchy": lambda s, w2, t: w2 / (w2 + s),
+    "huber": lambda s, w2, t: jnp.sqrt(w2 / jnp.maximum(s, w2)),
+    "geman-mcclure": lambda s, w2, t: (w2 / (s + w2)) ** 2,
+    "dcs": lambda s, w2, t: jnp.minimum(1, 2 * w2 / (s + w2)) ** 2,
+    "tls": _tls_weight,
+    "gnc-tls": _tls_weight,
+    "gnc-gm": lambda s, w2, t: (w2 * (1 + t) / (s + w2 * (1 + t))) ** 2,
 }
 
 
-def rho(kernel: str, s: Float[Array, "*b"], width: Float[Array, ""]) -> Float[Array, "*b"]:
-    """The kernel's cost: cauchy w^2 log(1 + s/w^2), huber, geman-mcclure s w^2/(s + w^2), dcs, none s."""
-    return KERNELS[kernel](s, width * width)
+def default_width(kernel: str, dim: int) -> float:
+    """1, the paper's; of tls and the graduated kernels the root of the 99 % point of chi-square, `dim` freedoms."""
+    return CHI2_99[dim] ** 0.5 if kernel.startswith(("tls", "gnc")) else 1.0
 
 
-def weight(kernel: str, s: Float[Array, "*b"], width: Float[Array, ""]) -> Float[Array, "*b"]:
+def check_kernel(kernel: str) -> None:
+    """Refuses an unknown kernel.
+
+    Raises:
+      ValueError: names the known ones.
+    """
+    if kernel not in KERNELS:
+        raise ValueError(f"kernel {kernel!r} is unknown; choose one of {', '.join(KERNELS)}")
+
+
+def rho(kernel: str, s: Float[Array, "*b"], width: Width) -> Float[Array, "*b"]:
+    """The kernel's cost: cauchy w^2 log(1 + s/w^2), huber, geman-mcclure s w^2/(s + w^2), dcs, tls min(s, w^2), none s."""
+    return KERNELS[kernel](s, *_shape(width))
+
+
+def weight(kernel: str, s: Float[Array, "*b"], width: Width) -> Float[Array, "*b"]:
     """The derivative d rho / d s: the weight of an edge in iteratively reweighted least squares, in [0, 1]."""
-    return WEIGHTS[kernel](s, width * width)
+    return WEIGHTS[kernel](s, *_shape(width))
+
+
+def _shape(width):
+    width, softness = width if isinstance(width, Graduated) else (width, 0.0)
+    return width * width, softness

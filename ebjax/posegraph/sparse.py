@@ -1,86 +1,149 @@
-"""General sparse LDL^T on the host (qdldl, AMD ordering), for graphs whose loops are many.
+"""General sparse Cholesky on the host, for graphs whose loops are many.
 
-Called from compiled code by `jax.pure_callback`; under vmap the batch is solved one by one. The ordering is made once
-per sparsity pattern and kept; the numbers alone travel per step.
+Called from compiled code; under vmap the matrices are factorised one by one, and right sides
+that share a matrix share its factor. The symbolic factor is made once per sparsity pattern and kept. The factorisations
+themselves are `ebjax.posegraph.ldl` and `ebjax.posegraph.cholmod`.
 """
 
+import importlib
 import threading
+import typing
 from collections import OrderedDict
-from typing import Any, NamedTuple
+from dataclasses import dataclass, field
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy.sparse
 from jaxtyping import Array, Float, Int
+from scipy.sparse.linalg import splu
 
 from ebjax.posegraph.assembly import Pattern, System, make_pattern
 from ebjax.posegraph.graph import PoseGraph
+from ebjax.posegraph.host import host_call
+
+FACTORS = {"qdldl": "ebjax.posegraph.ldl:Factor", "cholmod": "ebjax.posegraph.cholmod:Factor"}
 
 
-class SparsePlan(NamedTuple):
-    """Upper triangle of H by columns; `source` finds each number in the raveled diagonal blocks, then pair blocks."""
+@typing.no_type_check  # equinox puts booleans in place of arrays
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class SparsePlan:
+    """Lower triangle of H by columns; `source` finds each number in the raveled diagonal blocks, then pair blocks.
 
-    key: Int[np.ndarray, ""]
-    source: Int[np.ndarray, " Z"]
-    indices: Int[np.ndarray, " Z"]
-    indptr: Int[np.ndarray, " C"]
+    Rows and sources beyond indptr[-1] only fill the room of the largest graph of this size.
+    """
+
+    key: Int[Array | np.ndarray, ""]
+    source: Int[Array | np.ndarray, " Z"]
+    indices: Int[Array | np.ndarray, " Z"]
+    indptr: Int[Array | np.ndarray, " C"]
+    factor: str = field(metadata=dict(static=True))
 
 
-_SOLVERS: OrderedDict[int, Any] = OrderedDict()
+_FACTORS: OrderedDict[tuple[str, int], Any] = OrderedDict()
 _KEPT = 8
 _LOCK = threading.Lock()
 
 
-def analyse(graph: PoseGraph) -> tuple[Pattern, SparsePlan]:
-    """The pattern with rows above columns, and the map from blocks to compressed columns. Host code."""
+def analyse(graph: PoseGraph, factor: str) -> tuple[Pattern, SparsePlan]:
+    """The pattern and the map from blocks to compressed columns. Host code.
+
+    Raises:
+      ModuleNotFoundError: the factorisation's package is not installed; says how to get it.
+    """
+    _load(factor)
     n, d = len(graph.fixed), graph.lie.dim
-    pattern = make_pattern(graph, np.arange(n))
-    inner = np.arange(d)
-    p = np.arange(n)
-    shape = (n, d, d)
-    row = np.broadcast_to(p[:, None, None] * d + inner[:, None], shape)
-    column = np.broadcast_to(p[:, None, None] * d + inner, shape)
-    shape = (len(pattern.first), d, d)
-    row = np.concatenate(
-        [row.ravel(), np.broadcast_to(pattern.first[:, None, None] * d + inner[:, None], shape).ravel()]
-    )
-    column = np.concatenate([column.ravel(), np.broadcast_to(pattern.second[:, None, None] * d + inner, shape).ravel()])
-    source = np.flatnonzero(row <= column)
+    pattern = make_pattern(graph)
+    inner, p = np.arange(d), np.arange(n)
+    pairs = pattern.first != pattern.second
+
+    def numbers(first, second):
+        shape = (len(first), d, d)
+        row = np.broadcast_to(first[:, None, None] * d + inner[:, None], shape)
+        return row.ravel(), np.broadcast_to(second[:, None, None] * d + inner, shape).ravel()
+
+    row, column = map(np.concatenate, zip(numbers(p, p), numbers(pattern.first, pattern.second), strict=True))
+    kept = np.concatenate([(row >= column)[: n * d * d], np.repeat(pairs, d * d)])
+    row, column = np.maximum(row, column), np.minimum(row, column)
+    source = np.flatnonzero(kept)
     source = source[np.lexsort((row[source], column[source]))]
     indptr = np.searchsorted(column[source], np.arange(n * d + 1))
     indices = row[source]
     key = np.array(hash((indices.tobytes(), indptr.tobytes())), np.int64)
-    return pattern, SparsePlan(key, source.astype(np.int32), indices.astype(np.int32), indptr.astype(np.int32))
+    room = np.zeros(n * d * (d + 1) // 2 + len(pairs) * d * d - len(source), np.int32)
+    source, indices = (np.concatenate([x.astype(np.int32), room]) for x in (source, indices))
+    return pattern, SparsePlan(key, source, indices, indptr.astype(np.int32), factor)
 
 
-def _factor_and_solve(key, indices, indptr, values, right):
-    import qdldl
-    import scipy.sparse
+def _load(factor):
+    module, attribute = FACTORS[factor].split(":")
+    return getattr(importlib.import_module(module), attribute)
 
-    values, right = np.asarray(values, np.float64), np.asarray(right)
-    size = right.size
-    matrix = scipy.sparse.csc_matrix((values, np.asarray(indices), np.asarray(indptr)), shape=(size, size))
-    if not np.isfinite(values).all():
-        return np.full_like(right, np.nan)
+
+def fill(graph: PoseGraph) -> float:
+    """Operations per number of the Cholesky factor: what decides if dense blocks are worth their overhead. Host code.
+
+    Counted on the graph of poses under SuperLU's minimum degree ordering.
+    """
+    n, i, j = len(graph.fixed), np.asarray(graph.i), np.asarray(graph.j)
+    ones = np.ones(len(i))
+    links = scipy.sparse.coo_matrix((ones, (i, j)), shape=(n, n))
+    matrix = scipy.sparse.diags_array(2.0 * np.bincount(np.concatenate([i, j]), minlength=n) + 1) - links - links.T
+    options = {"SymmetricMode": True}
+    factor = splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options).L
+    columns = np.diff(factor.indptr).astype(float)
+    return float(graph.lie.dim * np.sum(columns**2) / np.sum(columns))
+
+
+def _factor_and_solve(factor, refined, key, indices, indptr, values, right):
+    """Batches of any of the arrays stand in front; an axis of length one is shared, and factorised once."""
+    shape, dtype = np.broadcast_shapes(values.shape[:-1], right.shape[:-2]), right.dtype
+    if key.size > 1:
+        raise ValueError("a batch must share one structure: vmap over numbers, not over edges")
+    indptr = indptr.reshape(-1, indptr.shape[-1])[0]
+    indices = indices.reshape(-1, indices.shape[-1])[0][: indptr[-1]]
+    values = values.reshape(-1, values.shape[-1])[:, : indptr[-1]].astype(np.float64)
+    columns = right.reshape(-1, right.shape[-2] * right.shape[-1]).astype(np.float64)
+    name = (factor, int(key.ravel()[0]))
     with _LOCK:
-        solver = _SOLVERS.pop(int(key), None)
-        try:
-            if solver is None:
-                solver = qdldl.Solver(matrix, upper=True)
-            else:
-                solver.update(matrix, upper=True)
-        except (RuntimeError, ValueError):
-            return np.full_like(right, np.nan)
-        _SOLVERS[int(key)] = solver
-        if len(_SOLVERS) > _KEPT:
-            _SOLVERS.popitem(last=False)
-        return solver.solve(np.asarray(right, np.float64).ravel()).reshape(right.shape).astype(right.dtype)
+        solver = _FACTORS.pop(name, None) or _load(factor)(indices, indptr)
+        _FACTORS[name] = solver
+        if len(_FACTORS) > _KEPT:
+            _FACTORS.popitem(last=False)
+        groups = (
+            [columns]
+            if len(values) == 1
+            else [c[None] for c in np.broadcast_to(columns, (len(values), *columns.shape[1:]))]
+        )
+        out = [
+            _solve_group(solver, v, c, (indices, indptr) if refined else None)
+            for v, c in zip(values, groups, strict=True)
+        ]
+    return np.concatenate(out).reshape(*shape, *right.shape[-2:]).astype(dtype)
 
 
-def solve(plan: SparsePlan, system: System, right: Float[Array, "N d"]) -> Float[Array, "N d"]:
-    """H^-1 right; NaN where the factorisation breaks down."""
+def _solve_group(solver, values, columns, lower):
+    if not np.isfinite(values).all():
+        return np.full_like(columns, np.nan)
+    try:
+        solver.factorise(values)
+    except ArithmeticError:
+        return np.full_like(columns, np.nan)
+    x = np.stack([solver.solve(c) for c in columns])
+    if lower is not None:
+        half = scipy.sparse.csc_array((values, *lower), shape=(columns.shape[1],) * 2)
+        full = half + scipy.sparse.tril(half, -1).T
+        x += np.stack([solver.solve(c) for c in columns - x @ full])
+    return x
+
+
+def solve(
+    plan: SparsePlan, system: System, right: Float[Array, "N d"], *, refined: bool = False
+) -> Float[Array, "N d"]:
+    """H^-1 right, with one step of iterative refinement if `refined`; NaN where H is not positive definite."""
     values = jnp.concatenate([system.diagonal.ravel(), system.off.ravel()])[plan.source]
-    shape = jax.ShapeDtypeStruct(right.shape, right.dtype)
-    return jax.pure_callback(
-        _factor_and_solve, shape, plan.key, plan.indices, plan.indptr, values, right, vmap_method="sequential"
-    )
+    result = jax.ShapeDtypeStruct(right.shape, right.dtype)
+    arrays = (plan.key, plan.indices, plan.indptr, values, right)
+    return host_call(_factor_and_solve, (plan.factor, refined), result, *arrays)
