@@ -1,14 +1,14 @@
-"""Optimises a g2o pose graph."""
+"""Optimises a g2o pose graph; `bench` times that against gtsam."""
 
 import sys
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import tyro
 
-from ebjax.command import run
+from ebjax.command import progress, run
 
 
 @dataclass(frozen=True)
@@ -33,8 +33,64 @@ class Config:
     """Steps tried at most."""
     rtol: float = 1e-9
     """Stop when a step lowers the cost by less than this share."""
+    plot: Path | None = None
+    """Where to draw the graph before and after, as PNG."""
+    quiet: bool = False
+    """No line per step on stderr."""
     strict: bool = False
     """Exit with code 3 if the steps did not converge."""
+
+
+@dataclass(frozen=True)
+class BenchConfig:
+    """Times pose graphs against gtsam, in one run, and prints Markdown: graphs, gradients, growth, batches."""
+
+    graphs: tyro.conf.Positional[tuple[Path, ...]] = ()
+    """g2o files; a reference.json beside them is compared with."""
+    out: Path | None = None
+    """Where to write the tables, as Markdown."""
+    sizes: tuple[int, ...] = (1000, 4000, 16000, 64000)
+    """Poses of the growing corridor with 20 loops."""
+    batch: int = 64
+    """Graphs of 500 poses solved together; 0 leaves them out."""
+    turns: int = 5
+    """Every figure is the median of so many turns."""
+    solver: Literal["auto", "elimination", "qdldl", "cholmod"] = "auto"
+    """Linear solver of a step."""
+
+
+def bench(config: BenchConfig) -> None:
+    """Prints every table as it is ready, writes them all."""
+    import jax
+
+    from ebjax.io.atomic import whole_file
+    from ebjax.posegraph import bench as tables
+
+    jax.config.update("jax_enable_compilation_cache", False)  # seconds of compilation are part of the tables
+
+    if config.turns < 1 or config.batch < 0 or min(config.sizes, default=1000) < 100:
+        raise ValueError("--turns must be positive, --batch not negative, --sizes at least 100")
+    paths, turns = list(config.graphs), config.turns
+    sections = {
+        "Graphs": tables.graphs(paths, config.solver, turns),
+        "Gradients": tables.gradients(paths, config.solver, turns),
+        "Growth: a corridor with 20 loops, Cauchy": tables.growth(config.sizes, config.solver, turns),
+        "A batch under vmap, Cauchy": tables.batch(config.batch, 500, config.solver, turns) if config.batch else (),
+    }
+    text = ""
+    for title, rows in sections.items():
+        table = tables.markdown(list(progress(rows, None, title)))
+        if table:
+            print(f"## {title}\n\n{table}", flush=True)
+            text += f"## {title}\n\n{table}\n"
+    if config.out is not None:
+        with whole_file(config.out) as file:
+            file.write(text)
+
+
+def _report(step: Any, cost: Any, accepted: Any, damping: Any) -> None:
+    sign = "" if accepted else "  rejected"
+    print(f"step {int(step):3d}  cost {float(cost):.9g}  damping {float(damping):.0e}{sign}", file=sys.stderr)
 
 
 def main(config: Config) -> None:
@@ -45,6 +101,7 @@ def main(config: Config) -> None:
     from ebjax.posegraph import STATUS, init
     from ebjax.posegraph.g2o import format_g2o, read_g2o
     from ebjax.posegraph.lm import compile_solve
+    from ebjax.viz.figures import pose_graph
 
     if config.max_steps < 1 or config.width <= 0 or config.rtol < 0:
         raise ValueError("--max-steps and --width must be positive, --rtol not negative")
@@ -64,6 +121,7 @@ def main(config: Config) -> None:
         max_steps=config.max_steps,
         rtol=config.rtol,
         solver=config.solver,
+        report=None if config.quiet else _report,
     )
     compile_s = time.perf_counter() - start
     start = time.perf_counter()
@@ -80,10 +138,17 @@ def main(config: Config) -> None:
         with whole_file(config.out) as file:
             file.write(text)
         print(f"wrote {config.out}")
+    if config.plot is not None:
+        with whole_file(config.plot, "wb") as file:
+            file.write(pose_graph(graph, np.asarray(solution.poses)))
+        print(f"drew {config.plot}")
     if config.strict and int(solution.status) != 0:
         print(f"error: {STATUS[int(solution.status)]}; raise --max-steps or change --init", file=sys.stderr)
         sys.exit(3)
 
 
 if __name__ == "__main__":
-    run(main, Config)
+    if sys.argv[1:2] == ["bench"]:
+        run(bench, BenchConfig, sys.argv[2:])
+    else:
+        run(main, Config)

@@ -5,6 +5,7 @@ d delta / d params = -H^-1 dg / d params with H the true Hessian (kernel and res
 pattern of the Gauss-Newton matrix: one sparse factorisation per derivative, whatever the number of steps before.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
@@ -20,8 +21,10 @@ from ebjax.posegraph.levenberg import minimise
 from ebjax.posegraph.linear import refined_solve
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(0, 1, 2, 3))
-def optimum(group: str, kernel: str, max_steps: int, rtol: float, params: tuple, rest: tuple) -> tuple:
+@partial(jax.custom_jvp, nondiff_argnums=(0, 1, 2, 3, 4))
+def optimum(
+    group: str, kernel: str, max_steps: int, rtol: float, report: Callable | None, params: tuple, rest: tuple
+) -> tuple:
     """The fields of `minimise`'s solution, differentiable in params = (fixed poses, measured, information, width).
 
     `rest` = (i, j, robust, structure) has no derivative. The starting point has none either, and neither have
@@ -37,9 +40,9 @@ def optimum(group: str, kernel: str, max_steps: int, rtol: float, params: tuple,
 
 
 @optimum.defjvp
-def _optimum_jvp(group, kernel, max_steps, rtol, primals, tangents):
+def _optimum_jvp(group, kernel, max_steps, rtol, report, primals, tangents):
     params, rest = primals
-    solution = optimum(group, kernel, max_steps, rtol, params, rest)
+    solution = optimum(group, kernel, max_steps, rtol, report, params, rest)
     i, j, robust, structure = rest
     graph = PoseGraph(params[0], i, j, params[1], params[2], robust, structure.fixed, group)
     lie = graph.lie

@@ -120,7 +120,7 @@ class _Levenberg(optx.AbstractLeastSquaresSolver):
             state.steps + 1,
         )
         if self.report is not None:
-            jax.debug.callback(self.report, new.steps, 2 * half, accept, state.damping, ordered=True)
+            jax.debug.callback(self.report, new.steps, 2 * half, accept, state.damping)
         return jnp.where(accept, trial, y), new, None
 
     def terminate(self, fn, y, args, options, state, tags):
@@ -141,7 +141,7 @@ def _half(fn, y, args):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Solution:
-    """What `solve` returns.
+    """What `solve` returns; under vmap with the batch in front.
 
     Attributes:
       poses: the optimised poses, angles wrapped, quaternions of unit length.
@@ -151,11 +151,11 @@ class Solution:
       status: index into `STATUS`; 0 is converged.
     """
 
-    poses: Float[Array, "N P"]
-    cost: Float[Array, ""]
-    initial_cost: Float[Array, ""]
-    iterations: Int[Array, ""]
-    status: Int[Array, ""]
+    poses: Float[Array, "*n N P"]
+    cost: Float[Array, "*n"]
+    initial_cost: Float[Array, "*n"]
+    iterations: Int[Array, "*n"]
+    status: Int[Array, "*n"]
 
 
 def minimise(

@@ -25,6 +25,7 @@ def solve(
     rtol: float = 1e-9,
     solver: str = "auto",
     structure: Structure | None = None,
+    report: Callable | None = None,
 ) -> Solution:
     """Minimises sum_k rho(r_k^T information_k r_k), r = log(measured^-1 * i_from_j), from `graph.poses`.
 
@@ -42,6 +43,7 @@ def solve(
       rtol: the loop ends when a step lowers the cost, and promised to lower it, by less than this share.
       solver: "auto", "elimination", "qdldl" or "cholmod"; see `ebjax.posegraph.linear.analyse`.
       structure: the result of `analyse(graph)`, needed where `i`, `j` or `fixed` are traced.
+      report: called on the host after every step with (step, cost tried, whether accepted, damping).
 
     Returns:
       A `Solution`; non-convergence is its `status`, not an error.
@@ -50,7 +52,7 @@ def solve(
       ValueError: unknown kernel or solver, wrong shapes, non-finite numbers or an information matrix that is not
         positive definite (both only where the arrays are concrete).
     """
-    return _call(graph, kernel, width, max_steps, rtol, solver, structure, _solve)
+    return _call(graph, kernel, width, max_steps, rtol, solver, structure, report, _solve)
 
 
 def compile_solve(graph: PoseGraph, **options: Any) -> Callable[[], Solution]:
@@ -62,6 +64,7 @@ def compile_solve(graph: PoseGraph, **options: Any) -> Callable[[], Solution]:
         "rtol": 1e-9,
         "solver": "auto",
         "structure": None,
+        "report": None,
     }
 
     def compiled(*args, **static):
@@ -72,7 +75,7 @@ def compile_solve(graph: PoseGraph, **options: Any) -> Callable[[], Solution]:
     return (lambda: answer) if isinstance(answer, Solution) else answer
 
 
-def _call(graph, kernel, width, max_steps, rtol, solver, structure, function):
+def _call(graph, kernel, width, max_steps, rtol, solver, structure, report, function):
     check_kernel(kernel)
     check(graph)
     dtype = jnp.asarray(graph.poses).dtype
@@ -84,9 +87,9 @@ def _call(graph, kernel, width, max_steps, rtol, solver, structure, function):
         structure = analyse(graph, solver)
     params = tuple(jnp.asarray(x, dtype) for x in (graph.poses, graph.measured, graph.information, width))
     rest = (graph.i, graph.j, graph.robust, structure)
-    return function(params, rest, group=graph.group, kernel=kernel, max_steps=max_steps, rtol=rtol)
+    return function(params, rest, group=graph.group, kernel=kernel, max_steps=max_steps, rtol=rtol, report=report)
 
 
-@partial(jax.jit, static_argnames=("group", "kernel", "max_steps", "rtol"))
-def _solve(params, rest, *, group, kernel, max_steps, rtol):
-    return Solution(*optimum(group, kernel, max_steps, rtol, params, rest))
+@partial(jax.jit, static_argnames=("group", "kernel", "max_steps", "rtol", "report"))
+def _solve(params, rest, *, group, kernel, max_steps, rtol, report):
+    return Solution(*optimum(group, kernel, max_steps, rtol, report, params, rest))

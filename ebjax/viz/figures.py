@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped, UInt8
 
+from ebjax.posegraph.graph import PoseGraph
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -237,3 +239,51 @@ def _png(figure: "Figure") -> bytes:
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": None})
     return buffer.getvalue()
+
+
+def pose_graph(graph: PoseGraph, optimised: Float[np.ndarray, "N P"]) -> bytes:
+    """Draws a pose graph from above, before and after: the path through its rows, and the edges that are not steps."""
+    figure = _figure(11.0, 5.2)
+    i, j = np.asarray(graph.i), np.asarray(graph.j)
+    loops = np.flatnonzero(np.abs(i - j) != 1)
+    for axes, poses, name in zip(figure.subplots(1, 2), (graph.poses, optimised), ("before", "after"), strict=True):
+        xy = np.asarray(poses)[:, :2] if graph.group == "se2" else np.asarray(poses)[:, 4:6]
+        ends = np.stack([xy[i[loops]], xy[j[loops]], np.full((len(loops), 2), np.nan)], 1).reshape(-1, 2)
+        axes.plot(*ends.T, color=LOOP, lw=0.6, label=f"{len(loops)} loops")
+        axes.plot(*xy.T, color=BEFORE if name == "before" else AFTER, lw=0.9, label=f"{len(xy)} poses")
+        axes.set(title=name, xlabel="x, m", ylabel="y, m")
+        axes.set_aspect("equal", "datalim")
+        axes.legend(frameon=False, fontsize=9)
+    return _png(figure)
+
+
+def through_turn(
+    image: UInt8[np.ndarray, "H W 3"],
+    read: dict[str, tuple[Float[np.ndarray, "K 2"], Float[np.ndarray, "K 2"]]],
+    *,
+    title: str = "",
+) -> bytes:
+    """Draws keypoints and the same keypoints read through R_pi, and how far apart they are.
+
+    Args:
+      image: RGB.
+      read: by name, keypoints (x, y) in the image and where the turned image puts them, px.
+      title: above the image.
+    """
+    figure = _figure(11.0, 5.4)
+    shown, axes = figure.subplots(1, 2)
+    shown.imshow(image)
+    for (name, (here, there)), colour in zip(read.items(), (AFTER, BEFORE), strict=False):
+        ends = np.stack([here, there, np.full_like(here, np.nan)], 1).reshape(-1, 2)
+        shown.plot(*ends.T, color=colour, lw=1.2)
+        shown.plot(*here.T, ".", color=colour, ms=3)
+        label = f"{name}: at most {np.abs(there - here).max(initial=0):.2g} px an axis"
+        axes.plot(*(there - here).T, "o", color=colour, ms=5, alpha=0.5, label=label)
+    shown.set(xlim=(-0.5, image.shape[1] - 0.5), ylim=(image.shape[0] - 0.5, -0.5))
+    shown.set_title(title, fontsize=10, parse_math=False)
+    axes.axhline(0, color=TRUTH, lw=0.6, zorder=0)
+    axes.axvline(0, color=TRUTH, lw=0.6, zorder=0)
+    axes.set(xlabel="x read through the turn, minus x, px", ylabel="y, px", xlim=(-6, 6), ylim=(-6, 6))
+    axes.set_aspect("equal")
+    axes.legend(frameon=False, fontsize=9, loc="upper left")
+    return _png(figure)

@@ -1,0 +1,297 @@
+"""Times `solve` against gtsam: real graphs, growth with the path, batches, gradients. Host code; gtsam is the oracle.
+
+Both sides run in one process, turn by turn, and a figure is the median of the turns. Compilation and the building of
+gtsam's graph are left out; both stop at a relative decrease of 1e-9.
+"""
+
+import json
+import resource
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ebjax.posegraph import init
+from ebjax.posegraph.assembly import assemble, damped
+from ebjax.posegraph.factors import edge_costs, gauss_newton_blocks
+from ebjax.posegraph.g2o import read_g2o
+from ebjax.posegraph.graph import PoseGraph, make_graph
+from ebjax.posegraph.levenberg import STATUS, Solution
+from ebjax.posegraph.linear import Structure, analyse, linear_solve
+from ebjax.posegraph.lm import compile_solve, solve
+
+Row = dict[str, Any]
+_RTOL, _STEPS = 1e-9, 200
+
+
+def gtsam_solver(graph: PoseGraph, kernel: str) -> Callable[[], tuple[float, int]]:
+    """Builds the graph in gtsam; the answer optimises it and returns (cost, iterations).
+
+    Raises:
+      ValueError: gtsam is not installed.
+    """
+    try:
+        import gtsam
+    except ModuleNotFoundError:
+        raise ValueError('the benchmark needs gtsam; run: pip install "ebjax[oracle]"') from None
+    planar = graph.group == "se2"
+    order = np.arange(3) if planar else np.array([3, 4, 5, 0, 1, 2])
+    between = gtsam.BetweenFactorPose2 if planar else gtsam.BetweenFactorPose3
+    hold = gtsam.NonlinearEqualityPose2 if planar else gtsam.NonlinearEqualityPose3
+    noise, factors, start = gtsam.noiseModel, gtsam.NonlinearFactorGraph(), gtsam.Values()
+
+    def pose(p):
+        return gtsam.Pose2(*p) if planar else gtsam.Pose3(gtsam.Rot3.Quaternion(*p[:4]), p[4:])
+
+    poses = [pose(p) for p in np.asarray(graph.poses, float)]
+    for k, p in enumerate(poses):
+        start.insert(k, p)
+    edges = zip(*(np.asarray(x) for x in (graph.i, graph.j, graph.measured, graph.information)), strict=True)
+    for i, j, measured, information in edges:
+        model: Any = noise.Gaussian.Information(information[np.ix_(order, order)])
+        if kernel == "cauchy":
+            model = noise.Robust.Create(noise.mEstimator.Cauchy.Create(1.0), model)
+        factors.add(between(int(i), int(j), pose(measured), model))
+    factors.add(hold(0, poses[0]))
+    settings = gtsam.LevenbergMarquardtParams()
+    settings.setMaxIterations(_STEPS)
+    settings.setRelativeErrorTol(_RTOL)
+    settings.setAbsoluteErrorTol(0.0)
+
+    def run():
+        optimiser = gtsam.LevenbergMarquardtOptimizer(factors, start, settings)
+        return 2 * factors.error(optimiser.optimize()), optimiser.iterations()
+
+    return run
+
+
+def _timed(*runs: Callable[[], Any], turns: int) -> tuple[list[float], list[Any]]:
+    """Median seconds of every run, taken in turn, and their last answers."""
+    seconds: list[list[float]] = [[] for _ in runs]
+    answers = [jax.block_until_ready(run()) for run in runs]
+    for _ in range(turns):
+        for taken, run in zip(seconds, runs, strict=True):
+            start = time.perf_counter()
+            jax.block_until_ready(run())
+            taken.append(time.perf_counter() - start)
+    return [median(taken) for taken in seconds], answers
+
+
+def _compiled(graph: PoseGraph, **options: Any) -> tuple[Callable[[], Solution], float]:
+    start = time.perf_counter()
+    run = compile_solve(graph, rtol=_RTOL, max_steps=_STEPS, **options)
+    return run, time.perf_counter() - start
+
+
+@jax.jit
+def _blocks(graph, poses):
+    return gauss_newton_blocks(graph, poses, "none", jnp.asarray(1.0, poses.dtype))
+
+
+@jax.jit
+def _system(graph, structure, blocks):
+    return assemble(graph, structure.pattern, blocks, ~jnp.asarray(structure.fixed))
+
+
+@jax.jit
+def _step(structure, system, gradient):
+    return linear_solve(structure, damped(system, jnp.asarray(1e-5, gradient.dtype)), gradient)
+
+
+@jax.jit
+def _cost(graph, poses):
+    return jnp.sum(edge_costs(graph, poses, "none", jnp.asarray(1.0, poses.dtype)))
+
+
+def _shares(graph: PoseGraph, structure: Structure, turns: int) -> Row:
+    """Share of an iteration in the Jacobians (with their products), the assembly, the linear solve, and the cost."""
+    poses = jnp.asarray(graph.poses)
+    blocks = _blocks(graph, poses)
+    system, gradient = _system(graph, structure, blocks)
+    stages = {
+        "Jacobians": lambda: _blocks(graph, poses),
+        "assembly": lambda: _system(graph, structure, blocks),
+        "factor": lambda: _step(structure, system, gradient),
+        "cost": lambda: _cost(graph, poses),
+    }
+    seconds, _ = _timed(*stages.values(), turns=turns)
+    return {f"{name} %": 100 * s / sum(seconds) for name, s in zip(stages, seconds, strict=True)}
+
+
+def graphs(paths: list[Path], solver: str, turns: int) -> Iterator[Row]:
+    """A row per graph and kernel, from the file's start, or odometry where a reference.json beside it has no other."""
+    for path in paths:
+        graph, ids = read_g2o(path)
+        known = _references(path)
+        start = "file" if not known or "file" in known["L2"] else "odometry"
+        if start == "odometry":
+            graph = replace(graph, poses=init.odometry(graph))
+        structure = analyse(graph, solver)
+        shares = _shares(graph, structure, turns)
+        for kernel, title in (("none", "L2"), ("cauchy", "Cauchy")):
+            run, compile_s = _compiled(graph, kernel=kernel, structure=structure)
+            seconds, (found, (theirs, their_steps)) = _timed(run, gtsam_solver(graph, kernel), turns=turns)
+            reference = known.get(title, {}).get(start)
+            yield {
+                "graph": f"{path.stem} {title}",
+                "poses": len(ids),
+                "edges": len(graph.i),
+                "cost": f"{float(found.cost):.9g}",
+                "off reference": "" if reference is None else f"{abs(float(found.cost) / reference - 1):.0e}",
+                "gtsam's cost": f"{theirs:.9g}",
+                "steps": int(found.iterations),
+                "gtsam's steps": their_steps,
+                "status": STATUS[int(found.status)],
+                "compile s": compile_s,
+                "ms": 1e3 * seconds[0],
+                "gtsam ms": 1e3 * seconds[1],
+                "times faster": seconds[1] / seconds[0],
+            } | shares
+
+
+def _references(path: Path) -> dict[str, dict[str, float]]:
+    file = path.parent / "reference.json"
+    known = json.loads(file.read_text(encoding="utf-8")).get(path.name, {}) if file.exists() else {}
+    return {"L2": known.get("L2", {}), "Cauchy": known.get("cauchy_width_1_all_edges", {})} if known else {}
+
+
+def corridor(poses: int, loops: int, seed: int = 0) -> PoseGraph:
+    """Out along a corridor that bends, and back: odometry with noise, closures between the two ways; SE(2).
+
+    Information fits the noise; the poses start from odometry.
+    """
+    rng = np.random.default_rng(seed)
+    half = poses // 2
+    turn = 0.02 * np.sin(np.arange(half) / 40)
+    steps = np.stack([np.full(half, 0.1), np.zeros(half), turn], 1)
+    back = np.stack([np.full(poses - 1 - half, 0.1), np.zeros(poses - 1 - half), -turn[::-1][: poses - 1 - half]], 1)
+    steps = np.concatenate([steps, back])
+    steps[half - 1, 2] += np.pi
+    first = np.sort(rng.choice(half - 2, loops, replace=False)) + 1
+    second = 2 * half - first
+    second = np.minimum(second, poses - 1)
+    i, j = np.concatenate([np.arange(poses - 1), first]), np.concatenate([np.arange(1, poses), second])
+    start = make_graph(
+        np.zeros((poses, 3)), i[: poses - 1], j[: poses - 1], steps, np.tile(np.eye(3), (poses - 1, 1, 1))
+    )
+    truth = init.to_matrices(init.odometry(start))
+    relative = init.from_matrices(np.linalg.inv(truth[i]) @ truth[j])
+    sigma = np.concatenate([np.tile([0.002, 0.001, 0.002], (poses - 1, 1)), np.tile([0.02, 0.02, 0.005], (loops, 1))])
+    measured = relative + sigma * rng.normal(size=sigma.shape)
+    information = np.eye(3)[None] / sigma[:, :, None] ** 2
+    graph = make_graph(np.zeros((poses, 3)), i, j, measured, information)
+    return replace(graph, poses=init.odometry(graph))
+
+
+def growth(sizes: tuple[int, ...], solver: str, turns: int) -> Iterator[Row]:
+    """A corridor with 20 loops, longer and longer, under Cauchy; memory is what the process's peak grew by."""
+    for size in sizes:
+        graph = corridor(size, 20)
+        before = _peak_mb()
+        start = time.perf_counter()
+        structure = analyse(graph, solver)
+        analyse_s = time.perf_counter() - start
+        run, compile_s = _compiled(graph, kernel="cauchy", structure=structure)
+        jax.block_until_ready(run())
+        grown = _peak_mb() - before
+        seconds, (found, (_, their_steps)) = _timed(run, gtsam_solver(graph, "cauchy"), turns=turns)
+        yield {
+            "poses": size,
+            "analyse s": analyse_s,
+            "compile s": compile_s,
+            "steps": int(found.iterations),
+            "gtsam's steps": their_steps,
+            "ms": 1e3 * seconds[0],
+            "us a pose": 1e6 * seconds[0] / size,
+            "us a pose and step": 1e6 * seconds[0] / size / int(found.iterations),
+            "MB more": grown,
+            "gtsam ms": 1e3 * seconds[1],
+            "times faster": seconds[1] / seconds[0],
+        }
+
+
+def _peak_mb() -> float:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def batch(count: int, poses: int, solver: str, turns: int) -> Iterator[Row]:
+    """Graphs of one shape under vmap and Cauchy, against a loop over gtsam."""
+    made = [corridor(poses, 10, seed) for seed in range(count)]
+    base, structure = made[0], analyse(made[0], solver)
+    made = [replace(graph, i=base.i, j=base.j, measured=_between(graph, base)) for graph in made]
+    made = [replace(graph, poses=init.odometry(graph)) for graph in made]
+    measured, start = (jnp.stack([jnp.asarray(getattr(g, name)) for g in made]) for name in ("measured", "poses"))
+
+    @jax.jit
+    @jax.vmap
+    def together(measured, poses):
+        return solve(replace(base, measured=measured, poses=poses), structure=structure, rtol=_RTOL)
+
+    theirs = [gtsam_solver(graph, "cauchy") for graph in made]
+    began = time.perf_counter()
+    jax.block_until_ready(together(measured, start))
+    compile_s = time.perf_counter() - began
+    runs = (lambda: together(measured, start), lambda: [run() for run in theirs])
+    seconds, (found, answers) = _timed(*runs, turns=turns)
+    yield {
+        "graphs": count,
+        "poses": poses,
+        "compile s": compile_s,
+        "steps": int(np.max(np.asarray(found.iterations))),
+        "gtsam's steps": max(steps for _, steps in answers),
+        "largest cost off gtsam's": f"{np.abs(np.asarray(found.cost) / [c for c, _ in answers] - 1).max():.0e}",
+        "ms": 1e3 * seconds[0],
+        "gtsam ms": 1e3 * seconds[1],
+        "times faster": seconds[1] / seconds[0],
+    }
+
+
+def _between(graph, base):
+    """The graph's noise on the base's edges: odometry as it is, the base's closures from the graph's corrected path."""
+    measured = np.array(base.measured)
+    odometry = len(graph.poses) - 1
+    measured[:odometry] = np.asarray(graph.measured)[:odometry]
+    return measured
+
+
+def gradients(paths: list[Path], solver: str, turns: int) -> Iterator[Row]:
+    """Seconds of a solve, and of a solve with the gradient of its poses' spread with respect to every measurement."""
+    for path in paths:
+        graph, _ = read_g2o(path)
+        structure = analyse(graph, solver)
+        for kernel, title in (("none", "L2"), ("cauchy", "Cauchy")):
+
+            def spread(measured, graph=graph, structure=structure, kernel=kernel):
+                answer = solve(replace(graph, measured=measured), kernel=kernel, structure=structure, rtol=_RTOL)
+                return jnp.sum(answer.poses[:, -2:] ** 2)
+
+            forward, backward = jax.jit(spread), jax.jit(jax.value_and_grad(spread))
+            measured = jnp.asarray(graph.measured)
+            runs = (partial(forward, measured), partial(backward, measured))
+            seconds, _ = _timed(*runs, turns=turns)
+            yield {
+                "graph": f"{path.stem} {title}",
+                "forward ms": 1e3 * seconds[0],
+                "with gradient ms": 1e3 * seconds[1],
+                "times forward": seconds[1] / seconds[0],
+            }
+
+
+def markdown(rows: list[Row]) -> str:
+    """The rows as a table."""
+    if not rows:
+        return ""
+    titles = list(rows[0])
+    lines = [titles, ["---"] * len(titles), *([_text(row[t]) for t in titles] for row in rows)]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
+
+
+def _text(value):
+    return value if isinstance(value, str) else f"{value:.3g}" if isinstance(value, float) else str(value)

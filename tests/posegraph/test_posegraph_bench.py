@@ -1,0 +1,39 @@
+import importlib.util
+import sys
+
+import numpy as np
+import pytest
+
+from ebjax.posegraph import bench, solve
+from ebjax.posegraph.__main__ import BenchConfig
+from ebjax.posegraph.__main__ import bench as command
+from ebjax.posegraph.g2o import format_g2o
+
+HAS_GTSAM = importlib.util.find_spec("gtsam") is not None
+
+
+def test_the_corridor_comes_back_to_where_it_started():
+    graph = bench.corridor(400, 8)
+    loops = np.abs(np.asarray(graph.i) - np.asarray(graph.j)) != 1
+    assert loops.sum() == 8
+    opposed = np.abs(np.abs(np.asarray(graph.measured)[loops, 2]) - np.pi)
+    assert (opposed < 0.05).all() and (np.linalg.norm(np.asarray(graph.measured)[loops, :2], axis=1) < 0.3).all()
+    solution = solve(graph, kernel="none")
+    assert float(solution.cost) < 3 * 8 + 60 < float(solution.initial_cost)
+
+
+@pytest.mark.skipif(not HAS_GTSAM, reason="gtsam is not installed")
+def test_tables_are_written_whole(ring, tmp_path, capsys):
+    (tmp_path / "graph.g2o").write_text(format_g2o(ring(n=40, loops=4)[0]))
+    out = tmp_path / "bench.md"
+    command(BenchConfig((tmp_path / "graph.g2o",), out, sizes=(200,), batch=2, turns=1))
+    assert out.read_text().strip() == capsys.readouterr().out.strip()
+    rows = [line.split(" | ") for line in out.read_text().splitlines() if line.startswith("| graph Cauchy")]
+    cost, theirs = float(rows[0][3]), float(rows[0][5])
+    assert cost == pytest.approx(theirs, rel=1e-6)
+
+
+def test_without_gtsam_the_remedy_is_named(ring, monkeypatch):
+    monkeypatch.setitem(sys.modules, "gtsam", None)
+    with pytest.raises(ValueError, match=r"pip install .ebjax\[oracle\]"):
+        bench.gtsam_solver(ring(n=10, loops=1)[0], "none")
