@@ -1,7 +1,7 @@
 """Times `solve` against gtsam: real graphs, growth with the path, batches, gradients. Host code; gtsam is the oracle.
 
 Both sides run in one process, turn by turn, and a figure is the median of the turns. Compilation and the building of
-gtsam's graph are left out; both stop at a relative decrease of 1e-9.
+gtsam's graph are left out. Both stop at a relative decrease of 1e-9, gtsam also at its own absolute one of 1e-5.
 """
 
 import json
@@ -63,7 +63,6 @@ def gtsam_solver(graph: PoseGraph, kernel: str) -> Callable[[], tuple[float, int
     settings = gtsam.LevenbergMarquardtParams()
     settings.setMaxIterations(_STEPS)
     settings.setRelativeErrorTol(_RTOL)
-    settings.setAbsoluteErrorTol(0.0)
 
     def run():
         optimiser = gtsam.LevenbergMarquardtOptimizer(factors, start, settings)
@@ -165,7 +164,7 @@ def _references(path: Path) -> dict[str, dict[str, float]]:
 def corridor(poses: int, loops: int, seed: int = 0) -> PoseGraph:
     """Out along a corridor that bends, and back: odometry with noise, closures between the two ways; SE(2).
 
-    Information fits the noise; the poses start from odometry.
+    Information allows for three times the noise, as is usual; the poses start from odometry.
     """
     rng = np.random.default_rng(seed)
     half = poses // 2
@@ -183,15 +182,18 @@ def corridor(poses: int, loops: int, seed: int = 0) -> PoseGraph:
     )
     truth = init.to_matrices(init.odometry(start))
     relative = init.from_matrices(np.linalg.inv(truth[i]) @ truth[j])
-    sigma = np.concatenate([np.tile([0.002, 0.001, 0.002], (poses - 1, 1)), np.tile([0.02, 0.02, 0.005], (loops, 1))])
+    sigma = np.concatenate([np.tile([0.002, 0.001, 0.0005], (poses - 1, 1)), np.tile([0.02, 0.02, 0.005], (loops, 1))])
     measured = relative + sigma * rng.normal(size=sigma.shape)
-    information = np.eye(3)[None] / sigma[:, :, None] ** 2
+    information = np.eye(3)[None] / (3 * sigma[:, :, None]) ** 2
     graph = make_graph(np.zeros((poses, 3)), i, j, measured, information)
     return replace(graph, poses=init.odometry(graph))
 
 
 def growth(sizes: tuple[int, ...], solver: str, turns: int) -> Iterator[Row]:
-    """A corridor with 20 loops, longer and longer, under Cauchy; memory is what the process's peak grew by."""
+    """A corridor with 20 loops, longer and longer, under Cauchy; memory is what the process's peak grew by.
+
+    gtsam runs once a size: it may take minutes.
+    """
     for size in sizes:
         graph = corridor(size, 20)
         before = _peak_mb()
@@ -201,19 +203,23 @@ def growth(sizes: tuple[int, ...], solver: str, turns: int) -> Iterator[Row]:
         run, compile_s = _compiled(graph, kernel="cauchy", structure=structure)
         jax.block_until_ready(run())
         grown = _peak_mb() - before
-        seconds, (found, (_, their_steps)) = _timed(run, gtsam_solver(graph, "cauchy"), turns=turns)
+        (own_s,), (found,) = _timed(run, turns=turns)
+        theirs = gtsam_solver(graph, "cauchy")
+        start = time.perf_counter()
+        _, their_steps = theirs()
+        their_s = time.perf_counter() - start
         yield {
             "poses": size,
             "analyse s": analyse_s,
             "compile s": compile_s,
             "steps": int(found.iterations),
             "gtsam's steps": their_steps,
-            "ms": 1e3 * seconds[0],
-            "us a pose": 1e6 * seconds[0] / size,
-            "us a pose and step": 1e6 * seconds[0] / size / int(found.iterations),
+            "ms": 1e3 * own_s,
+            "us a pose": 1e6 * own_s / size,
+            "us a pose and step": 1e6 * own_s / size / int(found.iterations),
             "MB more": grown,
-            "gtsam ms": 1e3 * seconds[1],
-            "times faster": seconds[1] / seconds[0],
+            "gtsam ms": 1e3 * their_s,
+            "times faster": their_s / own_s,
         }
 
 
