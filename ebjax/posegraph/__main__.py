@@ -19,10 +19,10 @@ class Config:
     """The graph: SE2 or SE3:QUAT edges, vertices optional."""
     out: Path | None = None
     """Where to write the optimised graph, as g2o."""
-    robust: Literal["cauchy", "none", "huber", "geman-mcclure", "dcs"] = "cauchy"
+    robust: Literal["cauchy", "none", "huber", "geman-mcclure", "dcs", "tls", "gnc-tls", "gnc-gm"] = "cauchy"
     """Robust kernel; none is plain least squares."""
-    width: float = 1.0
-    """Width of the kernel in standard deviations of a residual."""
+    width: float | None = None
+    """Width of the kernel in standard deviations of a residual; 1, and for tls and gnc the chi-square 99 % point."""
     robust_on: Literal["all", "loops"] = "all"
     """Edges the kernel applies to; loops join vertices that are not neighbours in the file."""
     init: Literal["file", "odometry", "spanning-tree", "chordal"] = "file"
@@ -103,7 +103,7 @@ def main(config: Config) -> None:
     from ebjax.posegraph.lm import compile_solve
     from ebjax.viz.figures import pose_graph
 
-    if config.max_steps < 1 or config.width <= 0 or config.rtol < 0:
+    if config.max_steps < 1 or (config.width is not None and config.width <= 0) or config.rtol < 0:
         raise ValueError("--max-steps and --width must be positive, --rtol not negative")
     start = time.perf_counter()
     graph, ids = read_g2o(config.graph)
@@ -128,7 +128,7 @@ def main(config: Config) -> None:
     solution = compiled()
     cost = float(solution.cost)
     solve_s = time.perf_counter() - start
-    kernel = "least squares" if config.robust == "none" else f"{config.robust}, width {config.width:g}"
+    kernel = "least squares" if config.robust == "none" else config.robust + (f", width {config.width:g}" if config.width else "")
     print(f"{config.graph}: {len(ids)} poses, {len(graph.i)} edges, {graph.group.upper()}, {kernel}")
     print(f"cost {float(solution.initial_cost):.9g} -> {cost:.9g}")
     print(f"{int(solution.iterations)} iterations, {STATUS[int(solution.status)]}")

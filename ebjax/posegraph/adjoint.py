@@ -35,7 +35,7 @@ def optimum(
     i, j, robust, structure = rest
     graph = PoseGraph(poses, i, j, measured, information, robust, structure.fixed, group)
     find = graduate if kernel in GRADUATED else minimise
-    solution = find(graph, structure, kernel, width, max_steps, rtol)
+    solution = find(graph, structure, kernel, width, max_steps, rtol, report)
     return solution.poses, solution.cost, solution.initial_cost, solution.iterations, solution.status
 
 
