@@ -128,7 +128,11 @@ def main(config: Config) -> None:
     solution = compiled()
     cost = float(solution.cost)
     solve_s = time.perf_counter() - start
-    kernel = "least squares" if config.robust == "none" else config.robust + (f", width {config.width:g}" if config.width else "")
+    kernel = (
+        "least squares"
+        if config.robust == "none"
+        else config.robust + (f", width {config.width:g}" if config.width else "")
+    )
     print(f"{config.graph}: {len(ids)} poses, {len(graph.i)} edges, {graph.group.upper()}, {kernel}")
     print(f"cost {float(solution.initial_cost):.9g} -> {cost:.9g}")
     print(f"{int(solution.iterations)} iterations, {STATUS[int(solution.status)]}")

@@ -46,9 +46,7 @@ def squared_residuals(graph: PoseGraph, poses: Float[Array, "N P"]) -> Float[Arr
     return _quadratic(r, jnp.asarray(graph.information))
 
 
-def edge_costs(
-    graph: PoseGraph, poses: Float[Array, "N P"], kernel: str, width: Width
-) -> Float[Array, " E"]:
+def edge_costs(graph: PoseGraph, poses: Float[Array, "N P"], kernel: str, width: Width) -> Float[Array, " E"]:
     """Cost rho(s) of robust edges, s of the others, s = squared residual; the sum is the cost `solve` reports."""
     s = squared_residuals(graph, poses)
     return jnp.where(graph.robust, rho(kernel, s, width), s)

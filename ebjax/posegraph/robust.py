@@ -106,7 +106,7 @@ def check_kernel(kernel: str) -> None:
 
 
 def rho(kernel: str, s: Float[Array, "*b"], width: Width) -> Float[Array, "*b"]:
-    """The kernel's cost: cauchy w^2 log(1 + s/w^2), huber, geman-mcclure s w^2/(s + w^2), dcs, tls min(s, w^2), none s."""
+    """The kernel: cauchy w^2 log(1 + s/w^2), huber, geman-mcclure s w^2/(s + w^2), dcs, tls min(s, w^2), none s."""
     return KERNELS[kernel](s, *_shape(width))
 
 
