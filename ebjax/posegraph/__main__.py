@@ -19,10 +19,12 @@ class Config:
     """The graph: SE2 or SE3:QUAT edges, vertices optional."""
     out: Path | None = None
     """Where to write the optimised graph, as g2o."""
-    robust: Literal["cauchy", "none", "huber", "geman-mcclure", "dcs", "tls", "gnc-tls", "gnc-gm"] = "cauchy"
-    """Robust kernel; none is plain least squares."""
+    robust: Literal[
+        "cauchy", "none", "huber", "geman-mcclure", "dcs", "tls", "gnc-tls", "gnc-gm", "pcm", "consensus"
+    ] = "cauchy"
+    """Robust kernel; none is plain least squares, consensus is ebjax.slam's: it survives most loops being false."""
     width: float | None = None
-    """Width of the kernel in standard deviations of a residual; 1, and for tls and gnc the chi-square 99 % point."""
+    """Of the kernel, in standard deviations of a residual; None: 1, for tls, gnc-*, consensus the 99.9 % point."""
     robust_on: Literal["all", "loops"] = "all"
     """Edges the kernel applies to; loops join vertices that are not neighbours in the file."""
     init: Literal["file", "odometry", "spanning-tree", "chordal"] = "file"
@@ -43,7 +45,7 @@ class Config:
 
 @dataclass(frozen=True)
 class BenchConfig:
-    """Times pose graphs against gtsam, in one run, and prints Markdown: graphs, gradients, growth, batches."""
+    """Times pose graphs against gtsam in one run, prints Markdown: graphs, gradients, growth, batches, false loops."""
 
     graphs: tyro.conf.Positional[tuple[Path, ...]] = ()
     """g2o files; a reference.json beside them is compared with."""
@@ -51,6 +53,10 @@ class BenchConfig:
     """Where to write the tables, as Markdown."""
     sizes: tuple[int, ...] = (1000, 4000, 16000, 64000)
     """Poses of the growing corridor with 20 loops."""
+    false_loops: tuple[Path, ...] = ()
+    """g2o files to add false loops to, 20 % and 50 % of all, and see what every robust setting makes of them."""
+    seeds: int = 5
+    """Draws of the false loops; the median is printed."""
     batch: int = 64
     """Graphs of 500 poses solved together; 0 leaves them out."""
     turns: int = 5
@@ -65,17 +71,21 @@ def bench(config: BenchConfig) -> None:
 
     from ebjax.io.atomic import whole_file
     from ebjax.posegraph import bench as tables
+    from ebjax.posegraph.falseloops import false_loops
 
     jax.config.update("jax_enable_compilation_cache", False)  # seconds of compilation are part of the tables
 
-    if config.turns < 1 or config.batch < 0 or min(config.sizes, default=1000) < 100:
-        raise ValueError("--turns must be positive, --batch not negative, --sizes at least 100")
+    if config.turns < 1 or config.seeds < 1 or config.batch < 0 or min(config.sizes, default=1000) < 100:
+        raise ValueError("--turns and --seeds must be positive, --batch not negative, --sizes at least 100")
     paths, turns = list(config.graphs), config.turns
     sections = {
         "Graphs": tables.graphs(paths, config.solver, turns),
         "Gradients": tables.gradients(paths, config.solver, turns),
         "Growth: a corridor with 20 loops, Cauchy": tables.growth(config.sizes, config.solver, turns),
         "A batch under vmap, Cauchy": tables.batch(config.batch, 500, config.solver, turns) if config.batch else (),
+        "False loops: ATE in m from the clean solution, odometry start": false_loops(
+            list(config.false_loops), seeds=config.seeds
+        ),
     }
     text = ""
     for title, rows in sections.items():

@@ -27,15 +27,17 @@ def optimum(
 ) -> tuple:
     """The fields of `minimise`'s solution, differentiable in params = (fixed poses, measured, information, width).
 
-    `rest` = (i, j, robust, structure) has no derivative. The starting point has none either, and neither have
-    `initial_cost`, `iterations` and `status`. The derivative holds where the cost has a strict local minimum and the
-    steps have converged. Plain tuples, because JAX puts other things than arrays into the tangents.
+    `rest` = (i, j, robust, structure, first width of `graduate`) has no derivative. The starting point has none either,
+    and neither have `initial_cost`, `iterations` and `status`. The derivative holds where the cost has a strict local
+    minimum and the steps have converged. Plain tuples, because JAX puts other things than arrays into the tangents.
     """
     poses, measured, information, width = params
-    i, j, robust, structure = rest
+    i, j, robust, structure, first = rest
     graph = PoseGraph(poses, i, j, measured, information, robust, structure.fixed, group)
-    find = graduate if kernel in GRADUATED else minimise
-    solution = find(graph, structure, kernel, width, max_steps, rtol, report)
+    if kernel in GRADUATED:
+        solution = graduate(graph, structure, kernel, width, first, max_steps, rtol, report)
+    else:
+        solution = minimise(graph, structure, kernel, width, max_steps, rtol, report)
     return solution.poses, solution.cost, solution.initial_cost, solution.iterations, solution.status
 
 
@@ -43,7 +45,7 @@ def optimum(
 def _optimum_jvp(group, kernel, max_steps, rtol, report, primals, tangents):
     params, rest = primals
     solution = optimum(group, kernel, max_steps, rtol, report, params, rest)
-    i, j, robust, structure = rest
+    i, j, robust, structure, _ = rest
     graph = PoseGraph(params[0], i, j, params[1], params[2], robust, structure.fixed, group)
     lie = graph.lie
     fixed = jnp.asarray(graph.fixed)

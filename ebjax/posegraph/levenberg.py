@@ -64,9 +64,10 @@ class _Levenberg(optx.AbstractLeastSquaresSolver):
     they are taken to go on shrinking at that rate, but not more than a hundredfold a step.
     """
 
-    rtol: float
+    rtol: Any
     atol: float
     norm: Any = eqx.field(static=True)
+    max_steps: Any
     edges: _Edges
     structure: Structure
     width: Width
@@ -86,7 +87,9 @@ class _Levenberg(optx.AbstractLeastSquaresSolver):
         half = _half(fn, y, args)
         damping, decrease = jnp.asarray(_FIRST_DAMPING, half.dtype), jnp.zeros((), half.dtype)
         status = jnp.where(jnp.isfinite(half), jnp.where(half > 0, _RUNNING, 0), 3)
-        return _State(jnp.asarray(False), half, half, decrease, damping, status, jnp.zeros((), jnp.int32))
+        return _State(
+            jnp.asarray(False), half, half, decrease, damping, status.astype(jnp.int32), jnp.zeros((), jnp.int32)
+        )
 
     def step(self, fn, y, args, options, state, tags):
         """Returns the next iterate, the next state, and nothing else."""
@@ -109,7 +112,7 @@ class _Levenberg(optx.AbstractLeastSquaresSolver):
         small |= accept & (rate >= 0) & (rate < 0.1) & (left <= limit) & (jnp.abs(predicted - decrease) < predicted / 2)
         damping = jnp.where(accept, state.damping / 10, state.damping * 10)
         status = jnp.where(damping > _LARGEST_DAMPING, 2, _RUNNING)
-        status = jnp.where(small | (half == 0), 0, status)
+        status = jnp.where(small | (half == 0), 0, status).astype(jnp.int32)
         new = _State(
             jnp.where(accept, predicted < _LATE * half, state.late),
             jnp.where(accept, half, state.half),
@@ -124,9 +127,9 @@ class _Levenberg(optx.AbstractLeastSquaresSolver):
         return jnp.where(accept, trial, y), new, None
 
     def terminate(self, fn, y, args, options, state, tags):
-        """Whether a status other than running is reached."""
+        """Whether a status other than running is reached, or all steps are used up."""
         del fn, y, args, options, tags
-        return state.status != _RUNNING, optx.RESULTS.successful
+        return (state.status != _RUNNING) | (state.steps >= self.max_steps), optx.RESULTS.successful
 
     def postprocess(self, fn, y, aux, args, options, state, tags, result):
         """Nothing to do."""
@@ -163,11 +166,11 @@ def minimise(
     structure: Structure,
     kernel: str,
     width: Width,
-    max_steps: int,
-    rtol: float,
+    max_steps: int | Int[Array, ""],
+    rtol: float | Float[Array, ""],
     report: Any = None,
 ) -> Solution:
-    """Runs the loop; `i`, `j` may be traced here. Not differentiable by itself: `adjoint.optimum` is."""
+    """Runs the loop; all but `kernel` may be traced. Not differentiable by itself: `adjoint.optimum` is."""
     lie = graph.lie
     parts = (graph.i, graph.j, graph.measured, graph.information, graph.robust, graph.fixed)
     edges = _Edges(*(jnp.asarray(x) for x in parts))
@@ -180,8 +183,9 @@ def minimise(
     largest = jnp.max(jnp.abs(start), initial=1)
     traces = jnp.trace(edges.information, axis1=1, axis2=2)
     floor = jnp.sum(traces) * (jnp.finfo(start.dtype).eps * largest) ** 2
-    solver = _Levenberg(rtol, 0.0, optx.max_norm, edges, structure, width, floor, graph.group, kernel, report)
-    found: optx.Solution = optx.least_squares(residual, solver, start, (edges, width), max_steps=max_steps, throw=False)
+    limits = (jnp.asarray(rtol, start.dtype), 0.0, optx.max_norm, jnp.asarray(max_steps, jnp.int32))
+    solver = _Levenberg(*limits, edges, structure, width, floor, graph.group, kernel, report)
+    found: optx.Solution = optx.least_squares(residual, solver, start, (edges, width), max_steps=None, throw=False)
     state = found.state
     poses = jnp.where(edges.fixed[:, None], graph.poses, lie.normalise(found.value))
     return Solution(poses, 2 * state.half, 2 * state.initial, state.steps, state.status)

@@ -1,6 +1,7 @@
 """The front door: `solve(graph)` optimises a pose graph; jit, vmap and differentiate it as you like."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ebjax.posegraph.adjoint import optimum
+from ebjax.posegraph.consensus import RULES, believed
 from ebjax.posegraph.graph import PoseGraph, check
 from ebjax.posegraph.levenberg import Solution
 from ebjax.posegraph.linear import Structure, analyse
@@ -36,9 +38,12 @@ def solve(
 
     Args:
       graph: without edges, or with fewer than two poses, it is returned as it is, cost 0, converged.
-      kernel: "none", "cauchy", "huber", "geman-mcclure", "dcs", "tls", "gnc-tls" or "gnc-gm".
-      width: of the kernel, in standard deviations, one for all edges or one per edge; None is 1, and for tls and the
-        graduated kernels the root of the 99 % point of chi-square with as many degrees of freedom as a pose.
+      kernel: "none", "cauchy", "huber", "geman-mcclure", "dcs", "tls"; graduated (`ebjax.posegraph.gnc`): "gnc-tls",
+        "gnc-gm"; or a choice of loops first (`ebjax.posegraph.consensus`, not under jit), the edges between successive
+        rows being believed: "pcm" is Cauchy on the largest consistent set, "consensus" gnc-tls on the loops that
+        others confirm, as narrow as their scatter allows, then tls on all.
+      width: of the kernel, in standard deviations, one for all edges or one per edge; None is 1, and for the kernels
+        that cut off the root of the 99.9 % point of chi-square with as many degrees of freedom as a pose.
       max_steps: steps tried at most, accepted or not.
       rtol: the loop ends when a step lowers the cost, and promised to lower it, by less than this share.
       solver: "auto", "elimination", "qdldl" or "cholmod"; see `ebjax.posegraph.linear.analyse`.
@@ -83,10 +88,19 @@ def _call(graph, kernel, width, max_steps, rtol, solver, structure, report, func
     if len(graph.poses) < 2 or len(graph.i) == 0:
         zero, none = jnp.zeros((), dtype), jnp.zeros((), jnp.int32)
         return Solution(jnp.asarray(graph.poses), zero, zero, none, none)
+    information, first = graph.information, None
+    if kernel in RULES:
+        chosen = believed(graph, kernel)
+        graph = replace(graph, robust=chosen.loop)
+        if kernel == "pcm":
+            information = np.asarray(information) * (chosen.kept | ~chosen.loop)[:, None, None]
+        else:
+            first = jnp.asarray(width * chosen.scale * chosen.kept, dtype)
+            width = width * np.where(chosen.kept, 1, chosen.scale)
     if structure is None:
         structure = analyse(graph, solver)
-    params = tuple(jnp.asarray(x, dtype) for x in (graph.poses, graph.measured, graph.information, width))
-    rest = (graph.i, graph.j, graph.robust, structure)
+    params = tuple(jnp.asarray(x, dtype) for x in (graph.poses, graph.measured, information, width))
+    rest = (graph.i, graph.j, graph.robust, structure, first)
     return function(params, rest, group=graph.group, kernel=kernel, max_steps=max_steps, rtol=rtol, report=report)
 
 

@@ -2,11 +2,12 @@
 
 `width` is in standard deviations: the residual at which a kernel starts to doubt, one for all edges or one per edge.
 Cauchy with width 1 is the paper's. Residuals are whitened, so s of a right edge with d numbers is chi-square
-distributed with d degrees of freedom: truncated least squares ("tls") wants width^2 at its upper end, and has the 99 %
-point by default.
+distributed with d degrees of freedom: truncated least squares ("tls") wants width^2 at its upper end, and has the
+99.9 % point by default.
 
 "gnc-tls" and "gnc-gm" are "tls" and "geman-mcclure" reached by graduated non-convexity (`ebjax.posegraph.gnc`): a
 `Graduated` width has a softness too, large where the kernel is nearly quadratic, 0 where it is the kernel itself.
+After a choice of loops (`ebjax.posegraph.consensus`) "consensus" is "tls" and "pcm" is "cauchy".
 """
 
 from collections.abc import Callable
@@ -15,7 +16,8 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-CHI2_99 = {3: 11.345, 6: 16.812}  # 99 % points by degrees of freedom
+CHI2_99 = {3: 11.345, 6: 16.812}  # points of the chi-square distribution by degrees of freedom
+CHI2_999 = {3: 16.266, 6: 22.458}
 
 
 class Graduated(NamedTuple):
@@ -76,6 +78,8 @@ KERNELS: dict[str, Callable] = {
     "tls": _tls,
     "gnc-tls": _tls,
     "gnc-gm": _gnc_gm,
+    "consensus": _tls,
+    "pcm": _cauchy,
 }
 
 WEIGHTS: dict[str, Callable] = {
@@ -87,12 +91,14 @@ WEIGHTS: dict[str, Callable] = {
     "tls": _tls_weight,
     "gnc-tls": _tls_weight,
     "gnc-gm": lambda s, w2, t: (w2 * (1 + t) / (s + w2 * (1 + t))) ** 2,
+    "consensus": _tls_weight,
+    "pcm": lambda s, w2, t: w2 / (w2 + s),
 }
 
 
 def default_width(kernel: str, dim: int) -> float:
-    """1, the paper's; of tls and the graduated kernels the root of the 99 % point of chi-square, `dim` freedoms."""
-    return CHI2_99[dim] ** 0.5 if kernel.startswith(("tls", "gnc")) else 1.0
+    """1, the paper's; of what cuts off the root of the 99.9 % point of chi-square with `dim` degrees of freedom."""
+    return CHI2_999[dim] ** 0.5 if kernel in ("tls", "gnc-tls", "gnc-gm", "consensus") else 1.0
 
 
 def check_kernel(kernel: str) -> None:

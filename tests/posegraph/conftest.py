@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -33,6 +35,17 @@ def ring(group="se2", n=60, loops=6, false_loops=0, noise=0.02, seed=0, dtype=jn
 def compose_all(g, start, steps):
     _, poses = jax.lax.scan(lambda pose, step: (g.compose(pose, step),) * 2, start, steps)
     return jnp.concatenate([start[None], poses])
+
+
+def only(graph, keep):
+    """The graph with some of its edges."""
+    names = ("i", "j", "measured", "information", "robust")
+    return replace(graph, **{name: np.asarray(getattr(graph, name))[keep] for name in names})
+
+
+@pytest.fixture(name="only")
+def _only():
+    return only
 
 
 @pytest.fixture(name="ring")

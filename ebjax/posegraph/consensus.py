@@ -1,0 +1,108 @@
+"""Which loops of a graph to believe before optimising it: host code, in front of `solve`.
+
+"pcm": the largest set of loops that agree in pairs (`ebjax.posegraph.consistency`).
+
+"consensus": loops that another one confirms beyond chance. True loops come in clusters, along a path driven twice, and
+false ones do not agree with their neighbours. Two neighbouring loops and the odometry between them make a cycle of
+distance D and covariance S; among loops drawn at random from the space of poses, of volume V, a cycle closes at least
+as well with probability p = ball(D) sqrt(det S) / V. A loop is believed if K M p < 1 for one of its M neighbours, so
+that less than one of K random loops is believed in all (a contrario, Desolneux et al. 2000). The cycles that did close
+also tell if the information matrices promise too little: their distances should be chi-square distributed. Loops that
+nothing confirms are not lost: the solution found without them decides.
+"""
+
+from math import gamma, pi
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool
+
+from ebjax.posegraph.consistency import Loops, all_cycles, cycle, largest_clique, make_loops
+from ebjax.posegraph.graph import PoseGraph
+from ebjax.posegraph.init import odometry
+from ebjax.posegraph.robust import CHI2_99
+
+RULES = ("pcm", "consensus")
+_NEIGHBOURS = 16
+_FEWEST = 10  # confirmed loops to learn a scale from
+
+
+class Believed(NamedTuple):
+    """`loop`: edges that close loops; `kept`: those believed; `scale` <= 1: their cycles' sigma over that promised."""
+
+    loop: Bool[np.ndarray, " E"]
+    kept: Bool[np.ndarray, " E"]
+    scale: float
+
+
+def believed(graph: PoseGraph, rule: str) -> Believed:
+    """Applies a rule of `RULES` to the robust edges that do not join successive rows; the others are odometry.
+
+    Raises:
+      ValueError: the graph is traced.
+    """
+    if any(isinstance(x, jax.core.Tracer) for x in (graph.measured, graph.information, graph.robust)):
+        raise ValueError(f"{rule} chooses loops on the host; call solve outside jit, vmap and grad, or use gnc-tls")
+    loop = np.asarray(graph.robust) & (np.abs(np.asarray(graph.i) - np.asarray(graph.j)) > 1)
+    kept = np.zeros_like(loop)
+    if not loop.any():
+        return Believed(loop, kept, 1.0)
+    loops = _loops(graph, loop)
+    if rule == "pcm":
+        limit = CHI2_99[graph.lie.dim]
+        kept[loop] = largest_clique(np.asarray(all_cycles(loops)) <= limit, np.ones(int(loop.sum())))
+        return Believed(loop, kept, 1.0)
+    kept[loop], scale = _confirmed(loops, graph.lie.dim)
+    return Believed(loop, kept, scale)
+
+
+def _loops(graph: PoseGraph, loop) -> Loops:
+    """The loops over the odometry path; a gap in the odometry is a step that says nothing."""
+    poses = odometry(graph)
+    i, j, measured = (np.asarray(x) for x in (graph.i, graph.j, graph.measured))
+    covariance = np.linalg.inv(np.asarray(graph.information, float))
+    extent = np.ptp(poses[:, -3:] if graph.group == "se3" else poses[:, :2], axis=0).max() + 1
+    steps = np.tile(np.eye(graph.lie.dim) * extent**2, (len(poses) - 1, 1, 1))
+    chain = np.flatnonzero(~loop & (np.abs(i - j) == 1))
+    back = chain[i[chain] > j[chain]]
+    ad = np.asarray(graph.lie.adjoint(jnp.asarray(measured[back])))
+    turned = covariance.copy()
+    turned[back] = ad @ covariance[back] @ ad.swapaxes(1, 2)
+    steps[np.minimum(i, j)[chain]] = turned[chain]
+    return make_loops(poses, steps, i[loop], j[loop], measured[loop], covariance[loop])
+
+
+def _confirmed(loops: Loops, dim: int) -> tuple[Bool[np.ndarray, " K"], float]:
+    from scipy.spatial import cKDTree
+    from scipy.stats import chi2
+
+    ends = np.stack([np.asarray(loops.i), np.asarray(loops.j)], 1)
+    count = len(ends)
+    if count < 2:
+        return np.zeros(count, bool), 1.0
+    near = cKDTree(ends).query(ends, min(_NEIGHBOURS + 1, count), p=1)[1]
+    one, other = np.repeat(np.arange(count), near.shape[1]), near.ravel()
+    distance, half = (np.asarray(x) for x in _pairs(loops, one, other))
+    distance = np.where(one == other, np.inf, distance).reshape(near.shape)
+    ball = pi ** (dim / 2) / gamma(dim / 2 + 1)
+    with np.errstate(over="ignore"):
+        chance = ball * distance ** (dim / 2) * np.exp(half.reshape(near.shape)) / _volume(loops, dim)
+    closes = distance <= CHI2_99[dim]
+    kept = (closes & (chance * count * (near.shape[1] - 1) < 1)).any(1)
+    tightest = np.where(closes, half.reshape(near.shape), np.inf).argmin(1)
+    sample = distance[np.arange(count), tightest][kept]
+    if len(sample) < _FEWEST:
+        return kept, 1.0
+    return kept, float(min(1, np.quantile(sample, 0.99) / chi2.ppf(0.99, dim)) ** 0.5)
+
+
+_pairs = jax.jit(cycle)
+
+
+def _volume(loops, dim):
+    """Of the poses that a loop drawn at random may claim; a flat world counts as a tenth as high as it is wide."""
+    places = np.asarray(loops.poses)[:, -3:] if dim == 6 else np.asarray(loops.poses)[:, :2]
+    extent = np.ptp(places, axis=0)
+    return np.prod(np.maximum(extent, extent.max() / 10)) * (2 * pi if dim == 3 else 8 * pi**2)

@@ -1,0 +1,86 @@
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+
+from ebjax.posegraph import STATUS, solve
+from ebjax.posegraph.bench import corridor
+from ebjax.posegraph.consensus import believed
+from ebjax.posegraph.falseloops import add_false_loops, error_m, loops_of
+
+
+@pytest.fixture(name="run", scope="module")
+def _run():
+    """A corridor there and back with 30 closures, from odometry, and its least squares solution."""
+    graph = corridor(600, 30)
+    graph = replace(graph, robust=loops_of(graph))
+    return graph, solve(graph, kernel="none").poses
+
+
+def spoil(run, share, seed=0, group=1):
+    graph, clean = run
+    return replace(add_false_loops(replace(graph, poses=clean), share, seed=seed, group=group), poses=graph.poses)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 0.8])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_clean_solution_is_found_again(run, share, seed):
+    graph, clean = spoil(run, share, seed), run[1]
+    found = solve(graph, kernel="consensus")
+    assert STATUS[int(found.status)] == "converged"
+    assert error_m(found.poses, clean, "se2") < 1e-3
+    assert float(found.cost) <= float(found.initial_cost)
+
+
+def test_confirmed_loops_are_the_right_ones(run):
+    graph = spoil(run, 0.5)
+    chosen = believed(graph, "consensus")
+    false = np.arange(len(graph.i)) >= 599 + 30
+    np.testing.assert_array_equal(chosen.loop, loops_of(graph))
+    assert not chosen.kept[false].any()
+    assert chosen.kept[599:629].sum() >= 25
+
+
+def test_a_narrow_scatter_is_noticed(run):
+    chosen = believed(run[0], "consensus")
+    assert 0.2 < chosen.scale < 0.5  # the corridor's information allows for three times its noise
+
+
+def test_pairwise_consistency_by_name(run):
+    graph, clean = spoil(run, 0.5), run[1]
+    chosen = believed(graph, "pcm")
+    assert not chosen.kept[629:].any()
+    assert error_m(solve(graph, kernel="pcm").poses, clean, "se2") < 0.05
+
+
+def test_three_dimensions(ring):
+    clean, _ = ring("se3", n=80, loops=20, noise=0.01)
+    clean = replace(clean, robust=loops_of(clean))
+    best = solve(clean, kernel="none").poses
+    graph = replace(add_false_loops(replace(clean, poses=best), 0.5, seed=0), poses=clean.poses)
+    assert error_m(solve(graph, kernel="consensus").poses, best, "se3") < 1e-3
+
+
+def test_all_loops_false_leaves_odometry(run, only):
+    graph = spoil(run, 0.5)
+    false = only(graph, ~loops_of(graph) | (np.arange(len(graph.i)) >= 629))
+    assert error_m(solve(false, kernel="consensus").poses, run[0].poses, "se2") < 1e-6
+
+
+@pytest.mark.parametrize("rule", ["pcm", "consensus"])
+def test_few_loops(run, only, rule):
+    graph = run[0]
+    for count in (0, 1, 2):
+        few = replace(graph, robust=loops_of(graph) & (np.arange(len(graph.i)) < 599 + count))
+        chosen = believed(few, rule)
+        assert chosen.loop.sum() == count
+        assert chosen.kept.sum() <= count
+        assert chosen.scale == 1
+    alone = only(graph, ~loops_of(graph))
+    np.testing.assert_allclose(solve(alone, kernel=rule).poses, graph.poses, atol=1e-9)
+
+
+def test_traced_graphs_are_refused(run):
+    with pytest.raises(ValueError, match="gnc-tls"):
+        jax.jit(lambda graph: solve(graph, kernel="consensus").cost)(run[0])
