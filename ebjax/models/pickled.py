@@ -215,7 +215,11 @@ def read_torch(path: Path) -> tuple[Any, Callable[[Tensor], np.ndarray]]:
     Raises:
       Exception: of whatever kind, where the file is damaged or not a checkpoint.
     """
-    return _read_zip(path) if zipfile.is_zipfile(path) else _read_stream(path)
+    with open(path, "rb") as file:
+        zipped = file.read(2) == b"PK"
+    if zipped and not zipfile.is_zipfile(path):
+        raise ValueError("a zip file whose end is missing")
+    return _read_zip(path) if zipped else _read_stream(path)
 
 
 def _read_zip(path: Path) -> tuple[Any, Callable[[Tensor], np.ndarray]]:

@@ -13,7 +13,7 @@ def torch_network(name: str) -> Any:
     try:
         from torch import channels_last
     except ImportError:
-        raise ValueError('the bench compares with torch: pip install "ebjax[oracle]"') from None
+        raise ValueError('the bench compares with torch: pip install "ebjax[torch]"') from None
     return NETWORKS[name]().eval().to(memory_format=channels_last)
 
 

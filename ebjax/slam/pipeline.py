@@ -56,12 +56,10 @@ class PipelineConfig:
     """Candidates of each view that are verified in each direction, the best that odometry does not rule out."""
     tolerance_m: float = 0.02
     """Largest distance of matching points on the floor, m."""
-    kernel: Literal[
-        "consensus", "cauchy", "none", "huber", "geman-mcclure", "dcs", "tls", "gnc-tls", "gnc-gm", "pcm"
-    ] = "consensus"
-    """How the pose graph survives false closures, as `ebjax.posegraph.solve`; the paper: cauchy."""
-    kernel_width: float | None = None
-    """Width of that kernel, standard deviations; None: 1, and for those that cut off the 99.9 % point."""
+    kernel: Literal["cauchy", "none", "huber", "geman-mcclure", "dcs"] = "cauchy"
+    """Robust kernel of the loop closures in the pose graph."""
+    kernel_width: float = 1.0
+    """Its width, standard deviations."""
     seed: int = 0
     """Of the vocabulary and of RANSAC."""
     select: SelectConfig = dataclasses.field(default_factory=SelectConfig)

@@ -21,7 +21,7 @@ def test_bad_options_are_one_line():
 
 def test_without_torch_says_what_to_install(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "torch", None)
-    with pytest.raises(ValueError, match=r"pip install \"ebjax\[oracle\]\""):
+    with pytest.raises(ValueError, match=r"pip install \"ebjax\[torch\]\""):
         next(bench("vgg16", (1,), 1))
 
 
