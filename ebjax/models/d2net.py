@@ -98,18 +98,12 @@ def hard_detection(
     height, width, _ = dense.shape
     channel = jnp.argmax(dense, -1)
     # Only the strongest channel of a cell matters: nine reads a cell instead of filters over all channels.
-    padded = jnp.pad(dense, ((1, 1), (1, 1), (0, 0)))
-    patch = [
-        [jnp.take_along_axis(padded[i : i + height, j : j + width], channel[..., None], 2)[..., 0] for j in range(3)]
-        for i in range(3)
-    ]
-    (nw, north, ne), (west, centre, east), (sw, south, se) = patch
-    rows, columns = jnp.arange(height)[:, None], jnp.arange(width)[None, :]
-    local = jnp.ones((height, width), bool)
-    for i in range(3):
-        for j in range(3):
-            outside = (rows + i == 0) | (rows + i > height) | (columns + j == 0) | (columns + j > width)
-            local &= (centre >= patch[i][j]) | outside
+    i, j = (steps.reshape(9, 1, 1) for steps in np.mgrid[:3, :3])
+    rows, columns = i + np.arange(height)[None, :, None], j + np.arange(width)[None, None, :]
+    patch = jnp.pad(dense, ((1, 1), (1, 1), (0, 0)))[rows, columns, channel[None]]
+    nw, north, ne, west, centre, east, sw, south, se = patch
+    outside = (rows == 0) | (rows > height) | (columns == 0) | (columns > width)
+    local = ((centre[None] >= patch) | outside).all(0)
     dyy, dxx = north - 2 * centre + south, west - 2 * centre + east
     dxy = (nw - ne - sw + se) / 4
     dx, dy = (east - west) / 2, (south - north) / 2
