@@ -2,23 +2,30 @@
 
 import csv
 import json
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+import jax.numpy as jnp
 import numpy as np
 import tyro
 
 from ebjax.command import run
-from ebjax.features.extractor import EXTRACTORS, extractor
-from ebjax.features.pair import Comparison, PlaneView, compare, extract, metric_view, quad_view, raw_view
-from ebjax.features.record import FLOOR, RAW, TURNED, conventions, describe, measure
+from ebjax.features.bench import bench
+from ebjax.features.equivariance import symmetric, through_turn
+from ebjax.features.extractor import EXTRACTORS, Extractor, extractor
+from ebjax.features.pair import Comparison, PlaneView, checked_quad, compare, extract, metric_view, quad_view, raw_view
+from ebjax.features.record import FLOOR, RAW, TURNED, conventions, describe, measure, summary
 from ebjax.geometry.camera import Camera, FloorView
 from ebjax.geometry.ransac import Model
-from ebjax.io.atomic import whole_folder
+from ebjax.io.atomic import whole_file, whole_folder
 from ebjax.io.camera_file import CameraFile, read_camera
 from ebjax.io.images import depth_share, read_depth, read_image
+from ebjax.models.catalogue import restore
+from ebjax.models.d2net import OFFSETS, convert
+from ebjax.models.seeded import seeded_state
 from ebjax.slam.view import choose_floor
 from ebjax.viz import figures
 
@@ -37,8 +44,10 @@ class Config:
     """camera.json: makes the floor view metric."""
     quad: tuple[float, float, float, float, float, float, float, float] | None = None
     """Four points of the floor, x y px each: far left, far right, near right, near left."""
-    extractor: Literal["rootsift", "sift", "orb", "all"] = "rootsift"
-    """Local feature; all compares the three and keeps what most matches agree on."""
+    extractor: Literal["rootsift", "sift", "orb", "surf", "superpoint", "d2net", "alike", "all"] = "rootsift"
+    """Local feature; all compares those that can be used here and keeps what most matches agree on."""
+    weights: Path | None = None
+    """Of a network: its .safetensors file, or a folder of them; None: $EBJAX_WEIGHTS or ~/.cache/ebjax/weights."""
     model: Literal["auto", "rigid", "similarity", "homography"] = "auto"
     """Motion on the floor; auto: rigid with --camera, else homography, for a hand-picked quad is no exact rectangle."""
     size: int = 400
@@ -53,6 +62,34 @@ class Config:
     """Depth of B."""
     seed: int = 0
     """Of RANSAC."""
+
+
+@dataclass(frozen=True)
+class TurnConfig:
+    """Draws how far D2-Net's keypoints move when the image is turned by pi, with the exact and the official offset."""
+
+    image: tyro.conf.Positional[Path]
+    """JPEG or PNG; its sides are cut to multiples of 4."""
+    out: Path
+    """The figure, PNG."""
+    seed: int = 0
+    """Of the stand-in weights: which they are does not matter, see ebjax/features/equivariance.py."""
+
+
+@dataclass(frozen=True)
+class BenchConfig:
+    """Times matching and verification against a loop over OpenCV; compilation left out, the median of the turns."""
+
+    pairs: int = 20
+    """Pairs of views."""
+    keypoints: int = 2000
+    """Of each view."""
+    length: int = 512
+    """Of a descriptor."""
+    turns: int = 3
+    """How often each side runs."""
+    seed: int = 0
+    """Of the pairs and of RANSAC."""
 
 
 def check(config: Config) -> None:
@@ -75,26 +112,6 @@ def check(config: Config) -> None:
         raise ValueError("--model rigid needs --camera: without it the view has no scale; use similarity or homography")
 
 
-def checked_quad(values: tuple[float, ...], width: int, height: int) -> np.ndarray:
-    """The quad as four points.
-
-    Raises:
-      ValueError: a point outside the image, three points on a line, or another order than asked for.
-    """
-    quad = np.array(values, np.float64).reshape(4, 2)
-    for x, y in quad:
-        if not (0 <= x <= width - 1 and 0 <= y <= height - 1):
-            raise ValueError(f"--quad: ({x:g}, {y:g}) lies outside the {width}x{height} image; give points inside it")
-    edges = np.roll(quad, -1, 0) - quad
-    following = np.roll(edges, -1, 0)
-    turns = edges[:, 0] * following[:, 1] - edges[:, 1] * following[:, 0]
-    if (np.abs(turns) < 1e-4 * width * height).any():
-        raise ValueError("--quad: three of the points lie on a line; give the four corners of a patch of floor")
-    if (turns < 0).any():
-        raise ValueError("--quad: not a convex patch in order; give far left, far right, near right, near left")
-    return quad
-
-
 def main(config: Config) -> None:
     """Reads, matches, prints the table, writes."""
     check(config)
@@ -112,12 +129,12 @@ def main(config: Config) -> None:
     if camera_file is not None:
         camera = Camera(camera_file.intrinsics, camera_file.base_from_camera, width, height)
     views = make_views(config, camera, quad, width, height)
-    names = list(EXTRACTORS) if config.extractor == "all" else [config.extractor]
+    extractors, absent = choose(config)
     records, comparisons = [], []
     print(f"{'':10}" + "".join(f"{name:>16}" for name in (RAW, FLOOR, TURNED) if name == RAW or FLOOR in views))
-    for name in names:
+    for name, chosen in extractors.items():
         row = f"{name:10}"
-        for kind, comparison, model in compare_all(config, name, views, image_a, image_b):
+        for kind, comparison, model in compare_all(config, chosen, views, image_a, image_b):
             view = views[RAW if kind == RAW else FLOOR]
             comparisons.append(comparison)
             records.append(describe(name, kind, model, comparison, view, config.size))
@@ -126,10 +143,12 @@ def main(config: Config) -> None:
             row += f"{f'{comparison.inliers} / {comparison.total}':>14}" + (" *" if comparison.believed else "  ")
         print(row.rstrip())
     print("inliers / matches; * more than chance would show")
+    for reason in absent:
+        print(f"left out: {reason}")
     if FLOOR not in views:
         print("floor views need --camera or --quad")
     best = max(range(len(records)), key=lambda k: (records[k]["believed"], records[k]["inliers"]))
-    print_best(records[best])
+    print("\n".join(summary(records[best])))
     result = {
         "a": str(config.a),
         "b": str(config.b),
@@ -175,49 +194,36 @@ def make_views(
     return views
 
 
+def choose(config: Config) -> tuple[dict[str, Extractor], list[str]]:
+    """The extractors to compare and, for `all`, why others cannot be used here.
+
+    Raises:
+      ValueError: the only one asked for cannot be used.
+    """
+    if config.extractor != "all":
+        return {config.extractor: extractor(config.extractor, config.weights)}, []
+    found, absent = {}, []
+    for name in EXTRACTORS:
+        try:
+            found[name] = extractor(name, config.weights)
+        except ValueError as error:
+            absent.append(str(error))
+    return found, absent
+
+
 def compare_all(
-    config: Config, name: str, views: dict[str, PlaneView], image_a: np.ndarray, image_b: np.ndarray
+    config: Config, chosen: Extractor, views: dict[str, PlaneView], image_a: np.ndarray, image_b: np.ndarray
 ) -> Iterator[tuple[str, Comparison, Model]]:
     """Yields (input, comparison, model) for the raw images, the floor views, and the floor views with R_pi."""
-    chosen = extractor(name)
     for place, view in views.items():
         model = config.model
         if model == "auto" or place == RAW:
             model = "rigid" if view.metric else "homography"
-        a, b = (extract(chosen, image, view) for image in (image_a, image_b))
+        a = extract(chosen, image_a, view)
         for opposing in (False,) if place == RAW else (False, True):
-            comparison = compare(
-                chosen,
-                a,
-                b,
-                view,
-                opposing=opposing,
-                model=model,
-                tolerance=config.tolerance,
-                seed=config.seed,
-            )
+            b = extract(chosen, image_b, view, turned=opposing)
+            comparison = compare(a, b, view, model=model, tolerance=config.tolerance, seed=config.seed)
             yield (TURNED if opposing else place), comparison, model
-
-
-def print_best(record: dict[str, Any]) -> None:
-    """Prints which line of the table is kept and what it measured."""
-    if not record["believed"]:
-        print("no common floor found: no input has more matches in agreement than chance would show")
-        return
-    print(
-        f"best: {record['extractor']}, {record['input']}, {record['model']}, {record['guided_inliers']} guided inliers"
-    )
-    for key, way in (("a_from_b", "metric floor"), ("a_from_b_depth", "depth")):
-        found = record.get(key)
-        if found is not None:
-            sigma = np.sqrt(np.diag(found["covariance"]))
-            print(
-                f"a_from_b by {way}: x {found['x_m']:.4f} m, y {found['y_m']:.4f} m, "
-                f"theta {np.degrees(found['theta_rad']):.3f} deg (sigma {sigma[0]:.4f} m, {sigma[1]:.4f} m, "
-                f"{np.degrees(sigma[2]):.3f} deg)"
-            )
-    if "inliers_with_depth" in record and record["a_from_b_depth"] is None:
-        print(f"a_from_b by depth: none, only {record['inliers_with_depth']} inliers have depth in both images")
 
 
 def write(
@@ -251,5 +257,40 @@ def write(
     print(f"wrote {out}")
 
 
+def turn(config: TurnConfig) -> None:
+    """Reads, detects, draws."""
+    image = read_image(config.image)
+    image = image[: image.shape[0] // 4 * 4, : image.shape[1] // 4 * 4]
+    if min(image.shape[:2]) < 32:
+        raise ValueError(f"{config.image}: {image.shape[1]}x{image.shape[0]} pixels; give at least 32 a side")
+    network = symmetric(restore("d2net", convert(seeded_state("d2net", config.seed))))
+    rgb = jnp.asarray(image, jnp.float32) / 255
+    read = {f"{offset} offset": through_turn(network, rgb, offset) for offset in OFFSETS}
+    for name, (here, there) in read.items():
+        apart = np.abs(there - here)
+        print(f"{name:16} {len(here)} keypoints, moved {apart.mean():.3f} px an axis, at most {apart.max():.3f} px")
+    title = "D2-Net keypoints, joined with the same read through a turn by pi"
+    with whole_file(config.out, "wb") as file:
+        file.write(figures.through_turn(image, read, title=title))
+    print(f"wrote {config.out}")
+
+
+def show_bench(config: BenchConfig) -> None:
+    """Prints both times."""
+    if min(config.pairs, config.keypoints, config.length, config.turns) < 1:
+        raise ValueError("--pairs, --keypoints, --length and --turns must be at least 1")
+    found = bench(config.pairs, config.keypoints, config.length, config.turns, config.seed)
+    print(f"{config.pairs} pairs of {config.keypoints} keypoints, {config.length} numbers each")
+    print(f"ebjax  {found.ours_s:7.2f} s, {found.ours_right:.0%} of the motions right")
+    print(
+        f"OpenCV {found.opencv_s:7.2f} s, {found.opencv_right:.0%}; {found.opencv_s / found.ours_s:.1f} times as long"
+    )
+
+
 if __name__ == "__main__":
-    run(main, Config)
+    if sys.argv[1:2] == ["bench"]:
+        run(show_bench, BenchConfig, sys.argv[2:])
+    elif sys.argv[1:2] == ["turn"]:
+        run(turn, TurnConfig, sys.argv[2:])
+    else:
+        run(main, Config)

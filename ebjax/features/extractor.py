@@ -1,39 +1,86 @@
 """The local features that can be selected by name. A new one is one file and one line here."""
 
 import dataclasses
+import functools
 import importlib
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from ebjax.features.matching import Features
 
 EXTRACTORS = {
     "rootsift": "ebjax.features.upright:ROOTSIFT",
     "sift": "ebjax.features.opencv:SIFT",
     "orb": "ebjax.features.opencv:ORB",
+    "surf": "ebjax.features.surf:SURF",
+    "superpoint": "ebjax.features.networks:superpoint",
+    "d2net": "ebjax.features.networks:d2net",
+    "alike": "ebjax.features.networks:alike",
 }
+"""Each is an `Extractor` or, for a network, a function of its weights file that gives one."""
+
+LUMA = (0.299, 0.587, 0.114)
 
 
 @dataclasses.dataclass(frozen=True)
 class Extractor:
     """A local feature.
 
+    Views that face each other are matched after turning one of them by pi (R_pi). Some features know their descriptors
+    in the turned view from those they have; a network has to look again.
+
     Attributes:
-      extract: (grey "H W" in [0, 1], seen "H W" bool) -> Features of a fixed number of rows.
-      turn: descriptors -> those of the same keypoints in the image turned by pi.
-      jitted: whether `extract` may be called inside a jitted program (else it runs on the host).
+      extract: (view "H W 3", RGB in [0, 1]; seen "H W" bool, the field of view) -> Features of a fixed number of rows.
+      jitted: whether `extract` may be called inside a jitted program; else it is called from the host.
+      turn: descriptors -> those of the same keypoints in the view turned by pi; None looks again.
     """
 
-    extract: Callable[..., Any]
-    turn: Callable[..., Any]
+    extract: Callable[..., Features]
     jitted: bool
+    turn: Callable[..., Any] | None
+
+    def turned(self, view: Float[Array, "H W 3"], seen: Bool[Array, "H W"]) -> Features:
+        """The features of the view turned by pi; keypoints in pixels of the view as it is."""
+        if self.turn is not None:
+            found = self.extract(view, seen)
+            return dataclasses.replace(found, descriptors=self.turn(found.descriptors))
+        found = self.extract(view[::-1, ::-1], seen[::-1, ::-1])
+        last = jnp.asarray([view.shape[1] - 1, view.shape[0] - 1], found.keypoints.dtype)
+        return dataclasses.replace(found, keypoints=last[None, :] - found.keypoints)
 
 
-def extractor(name: str) -> Extractor:
+def luma(view: Float[Array, "H W 3"]) -> Float[Array, "H W"]:
+    """The grey view, 0.299 R + 0.587 G + 0.114 B."""
+    return view @ jnp.asarray(LUMA, view.dtype)
+
+
+def unturned(descriptors: Float[Array, "*n D"]) -> Float[Array, "*n D"]:
+    """The descriptors as they are: they do not change with orientation."""
+    return descriptors
+
+
+@functools.cache
+def extractor(name: str, weights: Path | None = None) -> Extractor:
     """Looks an extractor up and imports it.
 
+    Args:
+      name: one of EXTRACTORS.
+      weights: of a network: a .safetensors file, or a folder that holds NAME.safetensors; None looks in the usual
+        place, see `ebjax.models.locate`. The others need none.
+
     Raises:
-      ValueError: the name is not one of `EXTRACTORS`.
+      ValueError: no such name; a network without weights, or with another's; a package that is not installed.
+      OSError: the weights cannot be read.
     """
     if name not in EXTRACTORS:
         raise ValueError(f"extractor {name!r} is unknown; choose one of {', '.join(EXTRACTORS)}")
     module, attribute = EXTRACTORS[name].split(":")
-    return getattr(importlib.import_module(module), attribute)
+    try:
+        found = getattr(importlib.import_module(module), attribute)
+    except ImportError as error:
+        raise ValueError(f'{name} needs {error.name}: pip install "ebjax[{name}]"') from None
+    return found if isinstance(found, Extractor) else found(weights)

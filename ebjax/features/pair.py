@@ -22,7 +22,6 @@ from ebjax.geometry.homography import apply, from_four_points, orient
 from ebjax.geometry.ransac import Model
 from ebjax.geometry.warp import warp
 
-LUMA = (0.299, 0.587, 0.114)
 MAX_SUPERSAMPLE = 8
 KEEP = 1000
 MAX_LOG10_FALSE_ALARMS = -12.0
@@ -51,6 +50,26 @@ class PlaneView:
 def raw_view(width: int, height: int) -> PlaneView:
     """The image itself."""
     return PlaneView(np.eye(3), np.eye(3), (height, width), float(max(width, height)))
+
+
+def checked_quad(values: tuple[float, ...], width: int, height: int) -> np.ndarray:
+    """The quad as four points.
+
+    Raises:
+      ValueError: a point outside the image, three points on a line, or another order than asked for.
+    """
+    quad = np.array(values, np.float64).reshape(4, 2)
+    for x, y in quad:
+        if not (0 <= x <= width - 1 and 0 <= y <= height - 1):
+            raise ValueError(f"--quad: ({x:g}, {y:g}) lies outside the {width}x{height} image; give points inside it")
+    edges = np.roll(quad, -1, 0) - quad
+    following = np.roll(edges, -1, 0)
+    turns = edges[:, 0] * following[:, 1] - edges[:, 1] * following[:, 0]
+    if (np.abs(turns) < 1e-4 * width * height).any():
+        raise ValueError("--quad: three of the points lie on a line; give the four corners of a patch of floor")
+    if (turns < 0).any():
+        raise ValueError("--quad: not a convex patch in order; give far left, far right, near right, near left")
+    return quad
 
 
 def quad_view(quad: Float[np.ndarray, "4 2"], size: int, margin: float, camera: Camera | None = None) -> PlaneView:
@@ -84,15 +103,15 @@ def metric_view(camera: Camera, floor: FloorView) -> PlaneView:
     return PlaneView(homography, floor.floor_from_view, floor.size, float(floor.x_max - floor.x_min), True)
 
 
-def look(image: UInt8[np.ndarray, "H W 3"], view: PlaneView) -> tuple[Float[Array, "h w"], Bool[Array, "h w"]]:
-    """The grey view in [0, 1] and which of its pixels the image sees.
+def look(image: UInt8[np.ndarray, "H W 3"], view: PlaneView) -> tuple[Float[Array, "h w 3"], Bool[Array, "h w"]]:
+    """The view, RGB in [0, 1], and which of its pixels the image sees.
 
     Every view pixel averages as many samples along each axis as image pixels it covers: near floor would alias.
     """
-    grey = np.asarray(image, np.float32) @ np.asarray(LUMA, np.float32) / 255
+    rgb = jnp.asarray(image, jnp.float32) / 255
     height, width = view.size
     if np.array_equal(view.image_from_view, np.eye(3)):
-        return jnp.asarray(grey), jnp.ones((height, width), bool)
+        return rgb, jnp.ones((height, width), bool)
     seen = field_of_view(view.image_from_view, view.size, (image.shape[0], image.shape[1]), 1.0)
     down, across = _image_pixels_per_view_pixel(view, np.asarray(seen))
     scale_shift = [[1 / n, (1 - n) / (2 * n)] for n in (across, down)]
@@ -100,8 +119,8 @@ def look(image: UInt8[np.ndarray, "H W 3"], view: PlaneView) -> tuple[Float[Arra
         [[scale_shift[0][0], 0, scale_shift[0][1]], [0, scale_shift[1][0], scale_shift[1][1]], [0, 0, 1]]
     )
     homography = jnp.asarray(view.image_from_view @ view_from_fine)
-    fine = warp(jnp.asarray(grey)[..., None], homography, (height * down, width * across))
-    return fine.reshape(height, down, width, across).mean((1, 3)).astype(jnp.float32), seen
+    fine = warp(rgb, homography, (height * down, width * across))
+    return fine.reshape(height, down, width, across, 3).mean((1, 3)).astype(jnp.float32), seen
 
 
 def _image_pixels_per_view_pixel(view: PlaneView, seen: Bool[np.ndarray, "h w"]) -> tuple[int, int]:
@@ -143,21 +162,19 @@ class Comparison:
     a_from_b: Float[np.ndarray, "3 3"]
 
 
-def extract(extractor: Extractor, image: UInt8[np.ndarray, "H W 3"], view: PlaneView) -> Features:
-    """The features of the view, keypoints in view pixels."""
-    grey, seen = look(image, view)
-    if extractor.jitted:
-        return jax.jit(extractor.extract)(grey, seen)
-    return jax.tree.map(jnp.asarray, extractor.extract(np.asarray(grey), np.asarray(seen)))
+def extract(
+    extractor: Extractor, image: UInt8[np.ndarray, "H W 3"], view: PlaneView, *, turned: bool = False
+) -> Features:
+    """The features of the view, or of the view turned by pi; keypoints in pixels of the view as it is."""
+    run = extractor.turned if turned else extractor.extract
+    return (jax.jit(run) if extractor.jitted else run)(*look(image, view))
 
 
 def compare(
-    extractor: Extractor,
     a: Features,
     b: Features,
     view: PlaneView,
     *,
-    opposing: bool,
     model: Model,
     tolerance: float,
     seed: int = 0,
@@ -165,17 +182,13 @@ def compare(
     """Matches and verifies two views; where the result is believed, matches again around it.
 
     Args:
-      extractor: of both features.
       a: features of the first view.
-      b: features of the second.
+      b: features of the second, turned for a pair that faces each other.
       view: of both.
-      opposing: whether b is turned by pi.
       model: of the motion in the plane.
       tolerance: largest residual of an inlier, as a share of the view's side.
       seed: of RANSAC.
     """
-    if opposing:
-        b = Features(b.keypoints, extractor.turn(b.descriptors), b.valid)
     keypoints = [f.keypoints.astype(jnp.result_type(0.0)) for f in (a, b)]
     plane = [apply(view.plane_from_view, k) for k in keypoints]
     limit = tolerance * view.side

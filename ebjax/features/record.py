@@ -67,6 +67,26 @@ def motion(found: LoopMeasurement) -> dict[str, Any]:
     return {"x_m": x, "y_m": y, "theta_rad": theta, "covariance": covariance, "residual_m": float(found.residual_m)}
 
 
+def summary(record: dict[str, Any]) -> list[str]:
+    """Says which line of the table is kept and what it measured."""
+    if not record["believed"]:
+        return ["no common floor found: no input has more matches in agreement than chance would show"]
+    extractor, kind, model, guided = (record[key] for key in ("extractor", "input", "model", "guided_inliers"))
+    lines = [f"best: {extractor}, {kind}, {model}, {guided} guided inliers"]
+    for key, way in (("a_from_b", "metric floor"), ("a_from_b_depth", "depth")):
+        found = record.get(key)
+        if found is not None:
+            sigma = np.sqrt(np.diag(found["covariance"]))
+            lines.append(
+                f"a_from_b by {way}: x {found['x_m']:.4f} m, y {found['y_m']:.4f} m, "
+                f"theta {np.degrees(found['theta_rad']):.3f} deg (sigma {sigma[0]:.4f} m, {sigma[1]:.4f} m, "
+                f"{np.degrees(sigma[2]):.3f} deg)"
+            )
+    if "inliers_with_depth" in record and record["a_from_b_depth"] is None:
+        lines.append(f"a_from_b by depth: none, only {record['inliers_with_depth']} inliers have depth in both images")
+    return lines
+
+
 def conventions(size: int, margin: float, view: PlaneView | None, quad: np.ndarray | None) -> dict[str, Any]:
     """What the coordinates in transform.json mean."""
     meaning: dict[str, Any] = {

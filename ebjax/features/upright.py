@@ -9,10 +9,10 @@ import math
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Shaped
 
 from ebjax.features.corners import find_corners
-from ebjax.features.extractor import Extractor
+from ebjax.features.extractor import Extractor, luma
 from ebjax.features.matching import Features
 from ebjax.models.rootsift import describe, pool_orientations, rotate_pi_descriptor
 
@@ -28,26 +28,27 @@ def octaves(height: int, width: int) -> int:
     return 1 + max(0, math.floor(math.log2(min(height, width) / OCTAVE_PX)))
 
 
-def extract(grey: Float[Array, "H W"], seen: Bool[Array, "H W"]) -> Features:
+def extract(view: Float[Array, "H W 3"], seen: Bool[Array, "H W"]) -> Features:
     """Describes the strongest corners of a floor view, 600 an octave.
 
     Args:
-      grey: in [0, 1].
+      view: RGB in [0, 1]; its luma is described.
       seen: the field of view; corners whose support lies mostly outside it are not valid.
     """
-    found = []
+    grey, found = luma(view), []
     for octave in range(octaves(*grey.shape)):
         keypoints, _, valid = find_corners(grey, seen, count=CORNERS, radius=RADIUS_PX)
         descriptors, support = describe(pool_orientations(grey, seen.astype(grey.dtype), BIN_PX), keypoints)
         scale = 2**octave
         found.append(Features((keypoints + 0.5) * scale - 0.5, descriptors, valid & (support > MIN_SUPPORT)))
-        grey, seen = _halved(grey).mean((1, 3)), _halved(seen).all((1, 3))
+        grey, seen = halved(grey).mean((1, 3)), halved(seen).all((1, 3))
     return jax.tree.map(lambda *rows: jnp.concatenate(rows), *found)
 
 
-def _halved(image: Array) -> Array:
+def halved(image: Shaped[Array, "H W *c"]) -> Shaped[Array, "h 2 w 2 *c"]:
+    """The 2 x 2 blocks of an image; an odd last row or column is left out."""
     height, width = image.shape[0] // 2, image.shape[1] // 2
-    return image[: 2 * height, : 2 * width].reshape(height, 2, width, 2)
+    return image[: 2 * height, : 2 * width].reshape(height, 2, width, 2, *image.shape[2:])
 
 
 def turn(descriptors: Float[Array, "*n D"]) -> Float[Array, "*n D"]:
@@ -55,4 +56,4 @@ def turn(descriptors: Float[Array, "*n D"]) -> Float[Array, "*n D"]:
     return rotate_pi_descriptor(descriptors)
 
 
-ROOTSIFT = Extractor(extract, turn, jitted=True)
+ROOTSIFT = Extractor(extract, jitted=True, turn=turn)

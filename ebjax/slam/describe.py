@@ -8,9 +8,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, UInt8
 
-from ebjax.features.extractor import extractor
+from ebjax.features.extractor import LUMA, Extractor
 from ebjax.features.matching import Features
 from ebjax.features.measure import lift
+from ebjax.features.upright import ROOTSIFT
 from ebjax.geometry.camera import Camera, backproject
 from ebjax.geometry.homography import apply
 from ebjax.geometry.warp import Taps, gather, taps
@@ -21,7 +22,6 @@ SUPERSAMPLE = 2
 """Each view pixel averages so many samples a side: near floor is imaged finer than the view and would alias."""
 OBSTACLE_M = (0.05, 0.02)
 """What rises above the floor by more than this, plus this share of its distance, is no floor: a wall, a leg."""
-LUMA = (0.299, 0.587, 0.114)
 
 
 @typing.no_type_check
@@ -47,6 +47,7 @@ class Described:
     place_map: Float[Array, "*n r c D"]
     cells: Bool[Array, "*n r c"]  # of the place map: those that show floor
     landmarks: Landmarks
+    turned: Landmarks | None  # of the view turned by pi, where the extractor has to look again
 
 
 def clear_floor(depth_m: Float[Array, "H W"], view: RunView, camera: Camera) -> Bool[Array, "h w"]:
@@ -84,7 +85,7 @@ def floor_view(rgb: UInt8[Array, "H W 3"], samples: Taps) -> Float[Array, "h w 3
     return sum(fine[r::SUPERSAMPLE, c::SUPERSAMPLE] for r in rows for c in columns) / SUPERSAMPLE**2
 
 
-@partial(jax.jit, static_argnames="extractor_name")
+@partial(jax.jit, static_argnames="extractor")
 def describe(
     rgb: UInt8[Array, "H W 3"],
     depth_m: Float[Array, "H W"],
@@ -92,7 +93,7 @@ def describe(
     view: RunView,
     camera: Camera,
     *,
-    extractor_name: str = "rootsift",
+    extractor: Extractor = ROOTSIFT,
 ) -> Described:
     """Describes a frame.
 
@@ -102,20 +103,20 @@ def describe(
       samples: from `view_taps`.
       view: the run's floor view.
       camera: of the run.
-      extractor_name: one of `EXTRACTORS`; one that is not jitted is called on the host by `describe_host`.
+      extractor: a jitted one; `describe_host` takes any.
     """
     colours = floor_view(rgb, samples)
     grey = colours @ jnp.asarray(LUMA, colours.dtype)
     floor = clear_floor(depth_m.astype(view.image_from_view.dtype), view, camera)
     place_map, support = dense(grey, floor.astype(grey.dtype))
-    chosen = extractor(extractor_name if extractor(extractor_name).jitted else "rootsift")
-    features = chosen.extract(grey, view.seen)
+    features = extractor.extract(colours, view.seen)
     return Described(
         jnp.round(colours * 255).astype(jnp.uint8),
         floor,
         place_map.astype(jnp.float16),
         support > MIN_SUPPORT,
         _located(features, floor, depth_m, view, camera),
+        None,
     )
 
 
@@ -132,15 +133,16 @@ def _located(features: Features, floor, depth_m, view: RunView, camera: Camera) 
 _located_jit = jax.jit(_located)
 
 
-def describe_host(rgb, depth_m, samples: Taps, view: RunView, camera: Camera, extractor_name: str) -> Described:
-    """`describe`, for extractors that run on the host too."""
-    result = describe(rgb, depth_m, samples, view, camera, extractor_name=extractor_name)
-    chosen = extractor(extractor_name)
-    if chosen.jitted:
-        return result
-    import numpy as np
+def describe_host(rgb, depth_m, samples: Taps, view: RunView, camera: Camera, extractor: Extractor) -> Described:
+    """`describe`, for extractors that are called from the host too."""
+    if extractor.jitted:
+        return describe(rgb, depth_m, samples, view, camera, extractor=extractor)
+    result = describe(rgb, depth_m, samples, view, camera)
+    colours, depth_m = result.view.astype(jnp.float32) / 255, jnp.asarray(depth_m)
 
-    grey = np.asarray(result.view, np.float32) @ np.asarray(LUMA, np.float32) / 255
-    features = jax.tree.map(jnp.asarray, chosen.extract(grey, np.asarray(view.seen)))
-    landmarks = _located_jit(features, result.floor, jnp.asarray(depth_m), view, camera)
-    return dataclasses.replace(result, landmarks=landmarks)
+    def located(features: Features) -> Landmarks:
+        return _located_jit(features, result.floor, depth_m, view, camera)
+
+    landmarks = located(extractor.extract(colours, view.seen))
+    turned = None if extractor.turn else located(extractor.turned(colours, view.seen))
+    return dataclasses.replace(result, landmarks=landmarks, turned=turned)

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from ebjax.features.extractor import extractor
+from ebjax.features.extractor import Extractor
 from ebjax.geometry.camera import Camera
 from ebjax.slam.describe import Described, describe_host, view_taps
 from ebjax.slam.view import RunView
@@ -24,17 +24,16 @@ def describe_keyframes(
     due: list[int],
     camera: Camera,
     view: RunView,
-    extractor_name: str,
+    extractor: Extractor,
     progress: Progress,
 ) -> tuple[Int[np.ndarray, " N"], Described]:
     """Describes the frames that can be read: their numbers, and everything about them stacked.
 
     Raises:
-      ValueError: fewer than two of them could be read, or the extractor is unknown.
+      ValueError: fewer than two of them could be read.
     """
     samples = view_taps(view, camera)
     blank = jnp.zeros((camera.height, camera.width), jnp.float32)
-    extractor(extractor_name)
     keyframes: list[int] = []
     rows: list[Any] = []
     with ThreadPoolExecutor(2) as pool:
@@ -42,7 +41,7 @@ def describe_keyframes(
             if images is None:
                 continue
             rgb, depth = images
-            one = describe_host(rgb, blank if depth is None else depth, samples, view, camera, extractor_name)
+            one = describe_host(rgb, blank if depth is None else depth, samples, view, camera, extractor)
             rows.append(jax.tree.map(np.asarray, one))
             keyframes.append(frame)
     if len(rows) < 2:

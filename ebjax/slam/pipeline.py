@@ -7,6 +7,7 @@ Numerical only: images come from a `load` function, results go back as arrays; f
 
 import dataclasses
 import time
+from pathlib import Path
 from typing import Literal
 
 import jax
@@ -14,8 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ebjax.features.extractor import extractor
-from ebjax.features.matching import Features
+from ebjax.features.extractor import Extractor, extractor
 from ebjax.features.measure import LoopMeasurement, measure_depth, measure_floor
 from ebjax.features.verify import Verified, verify
 from ebjax.geometry.camera import Camera
@@ -41,7 +41,9 @@ class PipelineConfig:
     ranking: Literal["correlation", "cosine"] = "correlation"
     """Ranking of candidates: shift-maximised correlation of floor maps, or the paper's cosine of global descriptors."""
     extractor: str = "rootsift"
-    """Local features: rootsift (upright, on corners), sift or orb."""
+    """Local features: rootsift (upright, on corners), sift, orb, surf, or a network: superpoint, d2net, alike."""
+    weights: Path | None = None
+    """Of a network: its .safetensors file, or a folder of them; None: $EBJAX_WEIGHTS or ~/.cache/ebjax/weights."""
     keyframe_m: float = 0.15
     """A frame is looked at when the robot has moved so far since the last one, m."""
     keyframe_deg: float = 10.0
@@ -129,8 +131,9 @@ def run(
         seconds[name] = time.perf_counter() - start
 
     start = time.perf_counter()
+    chosen = extractor(config.extractor, config.weights)
     frames = moved_enough(odom_from_base, config.keyframe_m, config.keyframe_deg)
-    keyframes, described = describe_keyframes(load, frames, camera, view, config.extractor, progress)
+    keyframes, described = describe_keyframes(load, frames, camera, view, chosen, progress)
     stage("describe", start)
 
     start = time.perf_counter()
@@ -165,7 +168,7 @@ def run(
     )
     pick = best_of_each_direction(np.asarray(ranked.valid) & believable, np.asarray(ranked.opposing), config.verify)
     i, j, opposing, distance = (a[pick] for a in (ranked.i, ranked.j, ranked.opposing, ranked.distance))
-    verified, floor, depth, with_depth = verify_pairs(described.landmarks, i, j, opposing, config)
+    verified, floor, depth, with_depth = verify_pairs(described, chosen, i, j, opposing, config)
     by_depth = with_depth >= MIN_DEPTH_INLIERS
     candidates = Measured(
         keyframes[i],
@@ -204,24 +207,22 @@ def best_of_each_direction(
 
 
 def verify_pairs(
-    landmarks: Landmarks,
+    described: Described,
+    chosen: Extractor,
     i: Int[np.ndarray, " K"],
     j: Int[np.ndarray, " K"],
     opposing: Bool[np.ndarray, " K"],
     config: PipelineConfig,
 ) -> tuple[Verified, LoopMeasurement, LoopMeasurement, Int[np.ndarray, " K"]]:
     """Verifies and measures pairs of keyframes: by the metric floor, by depth, and how many inliers have depth."""
-    turn = extractor(config.extractor).turn
 
     @jax.jit
-    def block(query: Landmarks, reference: Landmarks, opposing, keys):
+    def block(query: Landmarks, reference: Landmarks, keys):
         def one(args):
-            ours, theirs, facing, key = args
-            turned = jnp.where(facing, turn(theirs.features.descriptors), theirs.features.descriptors)
-            seen = Features(theirs.features.keypoints, turned, theirs.features.valid)
+            ours, theirs, key = args
             found = verify(
                 ours.features,
-                seen,
+                theirs.features,
                 ours.floor_points,
                 theirs.floor_points,
                 key=key,
@@ -234,10 +235,7 @@ def verify_pairs(
             depth = measure_depth(ours.points[q], theirs.points[r], deep, range_m)
             return found, floor, depth, deep.sum()
 
-        return jax.lax.map(one, (query, reference, opposing, keys))
-
-    def take(rows):
-        return jax.tree.map(lambda leaf: leaf[rows], landmarks)
+        return jax.lax.map(one, (query, reference, keys))
 
     keys = jax.random.split(jax.random.key(config.seed), max(len(i), 1))
     results = []
@@ -245,9 +243,29 @@ def verify_pairs(
         rows = np.arange(start, start + PAIRS_A_CALL) % max(len(i), 1)  # the last block is filled up: one shape
         a, b = (i[rows], j[rows]) if len(i) else (np.zeros(PAIRS_A_CALL, int),) * 2
         facing = opposing[rows] if len(i) else np.zeros(PAIRS_A_CALL, bool)
-        results.append(jax.tree.map(np.asarray, block(take(a), take(b), jnp.asarray(facing), keys[rows])))
+        query, reference = take(described.landmarks, a), seen_from(described, chosen, b, facing)
+        results.append(jax.tree.map(np.asarray, block(query, reference, keys[rows])))
     joined = jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(i)], *results)
     return joined
+
+
+def take(landmarks: Landmarks, rows: Int[np.ndarray, " K"]) -> Landmarks:
+    """Some keyframes' landmarks."""
+    return jax.tree.map(lambda leaf: leaf[rows], landmarks)
+
+
+def seen_from(
+    described: Described, chosen: Extractor, rows: Int[np.ndarray, " K"], facing: Bool[np.ndarray, " K"]
+) -> Landmarks:
+    """The landmarks of keyframes, as a view in the same direction has them or, where `facing`, the opposite one."""
+    straight = take(described.landmarks, rows)
+    if chosen.turn is None:
+        assert described.turned is not None
+        turned = take(described.turned, rows)
+    else:
+        descriptors = chosen.turn(jnp.asarray(straight.features.descriptors))
+        turned = dataclasses.replace(straight, features=dataclasses.replace(straight.features, descriptors=descriptors))
+    return jax.tree.map(lambda s, t: np.where(facing.reshape(-1, *(1,) * (s.ndim - 1)), t, s), straight, turned)
 
 
 def build_graph(

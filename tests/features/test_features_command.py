@@ -7,6 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
+from ebjax.features.__main__ import BenchConfig, TurnConfig, show_bench, turn
+
 QUADS = {
     "ceramic": [180, 299, 460, 290, 585, 443, 66, 462],
     "marble": [544, 649, 1379, 646, 1602, 1049, 300, 1045],
@@ -142,3 +144,34 @@ def test_bad_input_is_one_line_exit_2_and_no_output(written, tmp_path, arguments
     assert done.returncode == 2
     assert done.stderr.startswith(f"error: {message}") and len(done.stderr.splitlines()) == 1
     assert not (tmp_path / "out").exists()
+
+
+def test_all_leaves_out_what_cannot_be_used_and_says_why(written, monkeypatch, tmp_path):
+    folder, _ = written
+    monkeypatch.setenv("EBJAX_WEIGHTS", str(tmp_path))
+    done = command("a.png", "b.png", "--extractor", "all", "--out", tmp_path / "all", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.splitlines()
+    assert [line.split()[0] for line in lines[1:5]] == ["rootsift", "sift", "orb", "surf"]
+    left_out = [line for line in lines if line.startswith("left out: ")]
+    assert [line.split()[2] for line in left_out] == ["superpoint", "d2net", "alike"]
+    assert all("python -m ebjax.models convert" in line for line in left_out)
+
+
+def test_a_network_without_weights_is_refused(written, monkeypatch, tmp_path):
+    folder, _ = written
+    monkeypatch.setenv("EBJAX_WEIGHTS", str(tmp_path))
+    done = command("a.png", "b.png", "--extractor", "d2net", "--out", tmp_path / "out", cwd=folder)
+    assert done.returncode == 2 and not (tmp_path / "out").exists()
+    assert done.stderr.startswith("error: d2net needs weights") and len(done.stderr.splitlines()) == 1
+
+
+def test_turn_draws_and_bench_times(written, tmp_path, capsys):
+    folder, _ = written
+    image = cv2.imread(str(folder / "a.png"))[100:165, 100:200]
+    cv2.imwrite(str(tmp_path / "small.png"), image)
+    turn(TurnConfig(tmp_path / "small.png", tmp_path / "turn.png"))
+    assert "exact offset" in capsys.readouterr().out and cv2.imread(str(tmp_path / "turn.png")) is not None
+    show_bench(BenchConfig(pairs=2, keypoints=200, length=64, turns=1))
+    lines = capsys.readouterr().out.splitlines()
+    assert "100% of the motions right" in lines[1] and "times as long" in lines[2]

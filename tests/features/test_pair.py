@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from ebjax.features.extractor import extractor
+from ebjax.features.extractor import extractor, luma
 from ebjax.features.measure import SHARED_SIGMA, lift, measure_depth, measure_floor
 from ebjax.features.pair import compare, extract, look, metric_view, quad_view, raw_view
 from ebjax.geometry.camera import FloorView
@@ -29,15 +29,16 @@ def test_fine_floor_is_averaged_not_aliased():
     """A checkerboard of single pixels, seen at a quarter of its resolution, is grey."""
     checker = np.indices((400, 400)).sum(0) % 2 * 255
     image = np.repeat(checker[..., None], 3, 2).astype(np.uint8)
-    grey, seen = look(image, quad_view(np.array([[20, 20], [380, 20], [380, 380], [20, 380.0]]), 90, 0.0))
-    assert seen.all() and grey.dtype == jnp.float32
-    np.testing.assert_allclose(grey, 0.5, atol=0.08)
+    view, seen = look(image, quad_view(np.array([[20, 20], [380, 20], [380, 380], [20, 380.0]]), 90, 0.0))
+    assert seen.all() and view.dtype == jnp.float32
+    np.testing.assert_allclose(view, 0.5, atol=0.08)
 
 
 def test_raw_view_is_the_image():
     image = np.random.default_rng(0).integers(0, 256, (40, 50, 3), np.uint8)
-    grey, seen = look(image, raw_view(50, 40))
-    np.testing.assert_allclose(grey, image @ np.array([0.299, 0.587, 0.114]) / 255, atol=1e-6)
+    view, seen = look(image, raw_view(50, 40))
+    np.testing.assert_allclose(view, image / 255, atol=1e-6)
+    np.testing.assert_allclose(luma(view), image @ np.array([0.299, 0.587, 0.114]) / 255, atol=1e-6)
     assert seen.all()
 
 
@@ -49,8 +50,8 @@ def measured(scene):
     for seed in range(SEEDS):
         made = scene(noise_seed=seed)
         view = metric_view(made.camera, FLOOR)
-        a, b = (extract(chosen, image, view) for image in made.images)
-        pair = compare(chosen, a, b, view, opposing=True, model="rigid", tolerance=0.01)
+        a, b = (extract(chosen, image, view, turned=k == 1) for k, image in enumerate(made.images))
+        pair = compare(a, b, view, model="rigid", tolerance=0.01)
         assert pair.believed and pair.inliers > 100
         q, r, inliers = pair.matched.query, pair.matched.reference, pair.matched.inliers
         found["floor"].append(measure_floor(pair.plane[0][q], pair.plane[1][r], inliers))
@@ -76,7 +77,8 @@ def test_opposing_views_are_measured_to_millimetres_as_certainly_as_they_say(mea
 def test_another_floor_is_not_believed(scene):
     one, other = scene(seed=0), scene(seed=9)
     view, chosen = metric_view(one.camera, FLOOR), extractor("rootsift")
-    a, b = extract(chosen, one.images[0], view), extract(chosen, other.images[1], view)
-    for opposing in (False, True):
-        found = compare(chosen, a, b, view, opposing=opposing, model="rigid", tolerance=0.01)
+    a = extract(chosen, one.images[0], view)
+    for turned in (False, True):
+        b = extract(chosen, other.images[1], view, turned=turned)
+        found = compare(a, b, view, model="rigid", tolerance=0.01)
         assert not found.believed and found.inliers < 15

@@ -1,0 +1,134 @@
+"""Converts, lists, checks and times the networks."""
+
+import os
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tyro
+
+from ebjax.command import run
+
+
+@dataclass(frozen=True)
+class ConvertConfig:
+    """Turns a published checkpoint into weights for ebjax; the network is recognised by the file's keys."""
+
+    checkpoint: tyro.conf.Positional[Path]
+    """The published file: .pth, .pth.tar, .mat or .safetensors. Nothing in it is executed."""
+    out: tyro.conf.Positional[Path]
+    """The .safetensors file to write."""
+
+
+@dataclass(frozen=True)
+class ListConfig:
+    """Lists the networks: the file their authors published, where, under which licence and how large."""
+
+
+@dataclass(frozen=True)
+class CheckConfig:
+    """Compares every array of a folder of reference outputs with ours; exit code 1 if one is off."""
+
+    folder: tyro.conf.Positional[Path]
+    """inputs.npz, NETWORK__IMAGE.npz, README.md, and checkpoints that are no stand-ins."""
+    seed: int | None = None
+    """Of the stand-in weights; by default what the folder's README.md says."""
+    networks: tuple[str, ...] = ()
+    """Check these only; by default all there are."""
+
+
+@dataclass(frozen=True)
+class BenchConfig:
+    """Times forward passes against torch, float32 channels last, in one interleaved run; prints a Markdown table."""
+
+    networks: tuple[str, ...] = ("vgg16", "resnet50", "d2net", "superpoint", "netvlad-head")
+    """Which ones."""
+    batches: tuple[int, ...] = (1, 8)
+    """Images a call."""
+    turns: int = 9
+    """Calls of each contender; the median counts."""
+    one_core: bool = False
+    """Stay on one core and count processor time: company on the machine then hardly disturbs."""
+
+
+def convert(config: ConvertConfig) -> None:
+    """Reads, converts, writes."""
+    from ebjax.models.convert import convert_checkpoint
+    from ebjax.models.weights import save_weights
+
+    if config.out.suffix != ".safetensors":
+        raise ValueError(f"{config.out}: weights are written as .safetensors; name such a file")
+    name, arrays, origin = convert_checkpoint(config.checkpoint)
+    save_weights(config.out, name, arrays, origin)
+    total = sum(array.size for array in arrays.values())
+    print(f"{config.checkpoint}: {name}, {len(arrays)} arrays, {total:,} numbers")
+    print(f"wrote {config.out}")
+
+
+def show_list(config: ListConfig) -> None:
+    """Prints one block a network."""
+    from ebjax.models.catalogue import MODELS
+
+    for name, model in MODELS.items():
+        print(f"{name:14} {model.file}, {model.size_mb:g} MB, {model.licence}")
+        print(f"{'':14} {model.source}; {model.paper}")
+    print("\npython -m ebjax.models convert FILE NAME.safetensors makes one of them usable here.")
+
+
+def check(config: CheckConfig) -> None:
+    """Prints one line an array."""
+    from ebjax.models.check import check_folder
+
+    count, over = 0, []
+    for file, key, (error, tolerance) in check_folder(config.folder, config.seed, config.networks):
+        count += 1
+        bad = not error <= tolerance
+        over += [f"{file} {key}"] * bad
+        print(f"{file:24} {key:36} {error:9.2e}  of {tolerance:8.2e}{'  TOO LARGE' * bad}", flush=True)
+    print(f"{count} arrays, {len(over)} too far off")
+    if over:
+        print(f"error: {len(over)} of {count} arrays are too far off, first {over[0]}", file=sys.stderr)
+        sys.exit(1)
+
+
+def show_bench(config: BenchConfig) -> None:
+    """Prints one line a network and batch."""
+    from ebjax.models.bench import SIZES, bench, markdown
+
+    if unknown := [name for name in config.networks if name not in SIZES]:
+        raise ValueError(f"no network {unknown[0]!r} to time; there are {', '.join(SIZES)}")
+    if config.turns < 1 or not config.batches or min(config.batches) < 1:
+        raise ValueError("--turns and --batches must be at least 1")
+    if config.one_core:
+        os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[-1:])  # before JAX counts the cores
+    rows = (row for name in config.networks for row in bench(name, config.batches, config.turns, config.one_core))
+    for line in markdown(rows):
+        print(line, flush=True)
+
+
+COMMANDS: dict[str, tuple[Callable[[Any], None], type]] = {
+    "convert": (convert, ConvertConfig),
+    "list": (show_list, ListConfig),
+    "check": (check, CheckConfig),
+    "bench": (show_bench, BenchConfig),
+}
+
+
+def main(argv: list[str]) -> None:
+    """Runs the command that the first argument names; help without one."""
+    if not argv or argv[0] in ("-h", "--help"):
+        print("Converts, lists, checks and times the networks. Commands, each with --help:\n")
+        for name, (_, config) in COMMANDS.items():
+            print(f"  python -m ebjax.models {name:9} {config.__doc__}")
+        return
+    if argv[0] not in COMMANDS:
+        print(f"error: no command {argv[0]!r}; there are {', '.join(COMMANDS)}", file=sys.stderr)
+        sys.exit(2)
+    function, config = COMMANDS[argv[0]]
+    run(function, config, argv[1:], needs_jax=function is not show_list)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

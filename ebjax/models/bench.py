@@ -1,0 +1,120 @@
+"""Times forward passes against torch, float32 channels last, turn by turn in one run.
+
+A turn is one call of every contender; a figure is the median over turns, a ratio that of the medians. Run it on an
+otherwise idle machine, or on one core: torch's threads suffer more from company than ours.
+"""
+
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import nnx
+from jaxtyping import Array, Float
+
+from ebjax.models.catalogue import find, resolve
+from ebjax.models.fast import accelerate
+from ebjax.models.netvlad import Aggregation
+from ebjax.models.resnet import fold
+from ebjax.models.torch_networks import torch_network
+
+SIZES = {
+    "vgg16": (224, 224, 3),
+    "resnet50": (224, 224, 3),
+    "d2net": (400, 400, 3),
+    "superpoint": (480, 640, 1),
+    "netvlad-head": (30, 30, 512),
+}
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the table.
+
+    Attributes:
+      network: its name; `size` and `batch` are those of its input.
+      torch_ms: median of torch.
+      ours_ms: medians of "exact", "winograd" and "bfloat16".
+      errors: of the latter two: largest deviation from the exact one over its largest value.
+    """
+
+    network: str
+    size: tuple[int, int, int]
+    batch: int
+    torch_ms: float
+    ours_ms: dict[str, float]
+    errors: dict[str, float]
+
+
+def contenders(name: str) -> dict[str, Any]:
+    """Our networks, stand-in weights: ResNet folded, as one would use it."""
+    if name == "netvlad-head":
+        exact: Any = Aggregation(rngs=nnx.Rngs(0))
+    else:
+        exact = resolve(find(name).build)(None, rngs=nnx.Rngs(0))
+    exact = fold(exact) if name == "resnet50" else exact
+    return {"exact": exact, "winograd": accelerate(exact), "bfloat16": accelerate(exact, "bfloat16")}
+
+
+def compiled(network: Any, images: Float[Array, "B H W C"]) -> Callable[[], Any]:
+    """The forward pass of these images, compiled."""
+    graph, state = nnx.split(network)
+    forward = jax.jit(lambda state, images: nnx.merge(graph, state)(images)).lower(state, images).compile()
+    return lambda: jax.block_until_ready(forward(state, images))
+
+
+def bench(name: str, batches: tuple[int, ...], turns: int, one_core: bool = False) -> Iterator[Row]:
+    """Yields a row for every batch.
+
+    Args:
+      name: of SIZES.
+      batches: images a call.
+      turns: calls of each contender.
+      one_core: the process has one core; processor time counts, not the clock's.
+
+    Raises:
+      ValueError: torch is not installed.
+    """
+    theirs, ours = torch_network(name), contenders(name)
+    import torch
+
+    torch.set_num_threads(1 if one_core else torch.get_num_threads())
+    clock = time.process_time if one_core else time.perf_counter
+    for batch in batches:
+        images = np.random.default_rng(0).uniform(size=(batch, *SIZES[name])).astype(np.float32)
+        tensor = torch.from_numpy(images).permute(0, 3, 1, 2)
+
+        def torch_call(tensor: Any = tensor) -> Any:
+            with torch.inference_mode():
+                return theirs(tensor)
+
+        calls = {"torch": torch_call} | {key: compiled(net, jnp.asarray(images)) for key, net in ours.items()}
+        results = {key: jax.tree.leaves(call()) for key, call in calls.items()}
+        spent: dict[str, list[float]] = {key: [] for key in calls}
+        for _ in range(turns):
+            for key, call in calls.items():
+                start = clock()
+                call()
+                spent[key].append(1e3 * (clock() - start))
+        median = {key: float(np.median(times)) for key, times in spent.items()}
+        errors = {key: _error(results["exact"], results[key]) for key in ("winograd", "bfloat16")}
+        yield Row(name, SIZES[name], batch, median.pop("torch"), median, errors)
+
+
+def _error(exact: list[Any], other: list[Any]) -> float:
+    return max(float(jnp.abs(a - b).max() / jnp.abs(a).max()) for a, b in zip(exact, other, strict=True))
+
+
+def markdown(rows: Iterable[Row]) -> Iterator[str]:
+    """Lines of a table: medians in ms, in brackets the ratio to torch and the error."""
+    yield "| network | input | batch | torch | ebjax | winograd | bfloat16 |"
+    yield "|---|---|---|---|---|---|---|"
+    for row in rows:
+        cells = [row.network, "x".join(map(str, row.size)), str(row.batch), f"{row.torch_ms:.1f}"]
+        for key, ms in row.ours_ms.items():
+            error = f", {row.errors[key]:.0e}" if row.errors.get(key) else ""
+            cells.append(f"{ms:.1f} ({ms / row.torch_ms:.2f}x{error})")
+        yield f"| {' | '.join(cells)} |"
