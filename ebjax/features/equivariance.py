@@ -12,7 +12,9 @@ import numpy as np
 from flax import nnx
 from jaxtyping import Array, Float
 
-from ebjax.models.d2net import D2Net, Offset, detect
+from ebjax.models.catalogue import restore
+from ebjax.models.d2net import D2Net, Offset, convert, detect
+from ebjax.models.seeded import seeded_state
 from ebjax.models.weights import flat_arrays, load_into
 
 EVERY = 10**7
@@ -25,6 +27,11 @@ def symmetric(network: nnx.Module) -> D2Net:
     result: Any = nnx.merge(*nnx.split(network))
     load_into(result, turned)
     return result
+
+
+def stand_in(seed: int) -> D2Net:
+    """A symmetric network with weights from a seed."""
+    return symmetric(restore("d2net", convert(seeded_state("d2net", seed))))
 
 
 def through_turn(
