@@ -13,7 +13,7 @@ import tyro
 
 from ebjax.command import progress, run
 from ebjax.features.bench import bench
-from ebjax.features.equivariance import stand_in, through_turn
+from ebjax.features.equivariance import middle, stand_in, through_turn
 from ebjax.features.extractor import EXTRACTORS, extractor, usable
 from ebjax.features.pair import Comparison, PlaneView, checked_quad, metric_view, quad_view, raw_view
 from ebjax.features.record import FLOOR, RAW, TURNED, conventions, describe, matched_points, measure, summary
@@ -83,7 +83,7 @@ class TurnConfig:
     """Draws how far D2-Net's keypoints move when the image is turned by pi, with the exact and the official offset."""
 
     image: tyro.conf.Positional[Path]
-    """JPEG or PNG; its sides are cut to multiples of 4."""
+    """JPEG or PNG; its middle is looked at, at most 480 px a side."""
     out: Path
     """The figure, PNG."""
     seed: int = 0
@@ -262,12 +262,12 @@ def table(config: TableConfig) -> None:
 
 def turn(config: TurnConfig) -> None:
     """Reads, detects, draws."""
-    image = read_image(config.image)
-    image = image[: image.shape[0] // 4 * 4, : image.shape[1] // 4 * 4]
+    image = middle(read_image(config.image))
     if min(image.shape[:2]) < 32:
         raise ValueError(f"{config.image}: {image.shape[1]}x{image.shape[0]} pixels; give at least 32 a side")
     network = stand_in(config.seed)
-    rgb = jnp.asarray(image, jnp.float32) / 255
+    # In float64: where a wall is all but white, float32 leaves nothing but its rounding to detect.
+    rgb = jnp.asarray(image, jnp.float64) / 255
     read = {f"{offset} offset": through_turn(network, rgb, offset) for offset in OFFSETS}
     for name, (here, there) in read.items():
         apart = np.abs(there - here)
