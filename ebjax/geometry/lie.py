@@ -36,16 +36,18 @@ _once = jax.lax.optimization_barrier  # chains of these functions would fuse by 
 
 
 def _cot(s):
-    """K(s) and K'(s) for 0 <= s <= pi^2."""
-    value = jnp.zeros_like(s)
-    slope = jnp.zeros_like(s)
+    """K(s), K'(s) and K''(s) for 0 <= s <= pi^2."""
+    value = slope = bend = jnp.zeros_like(s)
     for c in reversed(_REST):
+        bend = bend * s + 2 * slope
         slope = slope * s + value
         value = value * s + c
     for p in _POLES:
-        value = value + 2 / (p - s)
-        slope = slope + 2 / (p - s) ** 2
-    return value, slope
+        near = 1 / (p - s)
+        value = value + 2 * near
+        slope = slope + 2 * near**2
+        bend = bend + 4 * near**3
+    return value, slope, bend
 
 
 def _series(s, first: int):
@@ -122,6 +124,20 @@ def se2_log_jacobian(tangent: Float[Array, "*b 3"]) -> Float[Array, "*b 3 3"]:
     c = 1 - t * t * k
     zero, one = jnp.zeros_like(t), jnp.ones_like(t)
     return _rows([c, -t / 2, y / 2 + k * t * x], [t / 2, c, -x / 2 + k * t * y], [zero, zero, one])
+
+
+def se2_log_jacobian_turn(tangent: Float[Array, "*b 3"], covector: Float[Array, "*b 3"]) -> Float[Array, "*b 3 3"]:
+    """Derivative of log_jacobian(tangent)^T covector with respect to tangent, a column per entry of it."""
+    x, y, t = tangent[..., 0], tangent[..., 1], tangent[..., 2]
+    a, b = covector[..., 0], covector[..., 1]
+    k, slope, _ = _once(_cot(t * t))
+    dc = -2 * t * (k + t * t * slope)
+    zero = jnp.zeros_like(t)
+    return _rows(
+        [zero, zero, dc * a + b / 2],
+        [zero, zero, dc * b - a / 2],
+        [k * t * a - b / 2, k * t * b + a / 2, (k + 2 * t * t * slope) * (x * a + y * b)],
+    )
 
 
 def quaternion_multiply(a: Float[Array, "*b 4"], b: Float[Array, "*b 4"]) -> Float[Array, "*b 4"]:
@@ -232,12 +248,48 @@ def se3_log_jacobian(tangent: Float[Array, "*b 6"]) -> Float[Array, "*b 6 6"]:
     """Derivative of log(exp(tangent) * exp(d)) at d = 0: I + ad/2 + (K - s K') ad^2 - K' ad^4."""
     v, w = _hat(tangent[..., :3]), _hat(tangent[..., 3:])
     s = jnp.sum(tangent[..., 3:] ** 2, -1)[..., None, None]
-    k, slope = _cot(s)
+    k, slope, _ = _cot(s)
     w2, p = small_matmul(w, w), small_matmul(v, w) + small_matmul(w, v)
     return _upper(
         jnp.broadcast_to(jnp.eye(3, dtype=w.dtype), w.shape) + w / 2 + k * w2,
         v / 2 + (k - s * slope) * p - slope * (small_matmul(w2, p) + small_matmul(p, w2)),
     )
+
+
+def se3_log_jacobian_turn(tangent: Float[Array, "*b 6"], covector: Float[Array, "*b 6"]) -> Float[Array, "*b 6 6"]:
+    """Derivative of log_jacobian(tangent)^T covector with respect to tangent, a column per entry of it.
+
+    With tangent (v, w), the rotation's part of the product is f(w, c) = c - w x c / 2 + K w x (w x c). The group being
+    that of rotations over dual numbers w + eps v, the rest of it is the derivative of f along v.
+    """
+    v, w, s = tangent[..., :3], tangent[..., 3:], jnp.sum(tangent[..., 3:] ** 2, -1, keepdims=True)
+    k, slope, bend = (value[..., None] for value in _once(_cot(s)))
+    dot = lambda a, b: _once(jnp.sum(a * b, -1, keepdims=True))  # noqa: E731
+    outer = lambda a, b: a[..., :, None] * b[..., None, :]  # noqa: E731
+    eye = jnp.eye(3, dtype=w.dtype).reshape((1,) * (w.ndim - 1) + (3, 3))
+    c, wv = covector[..., :3], dot(w, v)
+
+    def bent(c, wc):
+        """The derivative of w x (w x c)."""
+        return wc[..., None] * eye + outer(w, c) - 2 * outer(c, w)
+
+    def first(c):
+        wc = dot(w, c)
+        return _once(_hat(c) / 2 + k * bent(c, wc) + 2 * slope * outer(w * wc - s * c, w))
+
+    wc, vc = dot(w, c), dot(v, c)
+    double = _once(w * wc - s * c)
+    along = _once(wc * v + vc * w - 2 * wv * c)
+    second = k * (outer(v, c) + vc[..., None] * eye - 2 * outer(c, v)) + 2 * slope * (
+        outer(along, w) + outer(double, v) + wv[..., None] * bent(c, wc)
+    )
+    second = second + 4 * bend * outer(wv * double, w)
+    top = first(c)
+    rows = (
+        jnp.concatenate([jnp.zeros_like(top), top], -1),
+        jnp.concatenate([top, first(covector[..., 3:]) + second], -1),
+    )
+    return _once(jnp.concatenate(rows, -2))
 
 
 class Group(NamedTuple):
@@ -254,6 +306,7 @@ class Group(NamedTuple):
     log: Callable
     adjoint: Callable
     log_jacobian: Callable
+    log_jacobian_turn: Callable
     normalise: Callable
     identity: tuple[float, ...]
     bracket: np.ndarray
@@ -283,8 +336,26 @@ def _bracket3():
     return out
 
 
-_SE2 = (se2_compose, se2_inverse, se2_exp, se2_log, se2_adjoint, se2_log_jacobian, _se2_normalise)
-_SE3 = (se3_compose, se3_inverse, se3_exp, se3_log, se3_adjoint, se3_log_jacobian, _se3_normalise)
+_SE2 = (
+    se2_compose,
+    se2_inverse,
+    se2_exp,
+    se2_log,
+    se2_adjoint,
+    se2_log_jacobian,
+    se2_log_jacobian_turn,
+    _se2_normalise,
+)
+_SE3 = (
+    se3_compose,
+    se3_inverse,
+    se3_exp,
+    se3_log,
+    se3_adjoint,
+    se3_log_jacobian,
+    se3_log_jacobian_turn,
+    _se3_normalise,
+)
 GROUPS = {
     "se2": Group(3, 3, *_SE2, (0.0, 0.0, 0.0), _bracket2()),
     "se3": Group(7, 6, *_SE3, (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), _bracket3()),

@@ -118,20 +118,20 @@ def exact_blocks(graph: PoseGraph, poses: Float[Array, "N P"], kernel: str, widt
     """Blocks of the true Hessian of half the cost, the curvature of the kernel and of the residual included.
 
     With g(r) = Jr^-T rho' information r the gradient at pose j, the Hessian there is the symmetric part of
-    dg/dr Jr^-1; between i and j the bracket g . [u, v] of the two perturbations adds half of its matrix.
+    dg/dr Jr^-1, whose other part is minus half of the bracket g . [u, v] of two perturbations; between i and j the
+    bracket adds half of its matrix.
     """
     lie = graph.lie
     r, jb_t, ad_t = _terms(graph, poses)
     pulled = _mv(graph.information, r)
     s = jnp.sum(r * pulled, -1)
     scale, bend = _slopes(graph, s, kernel, width)
-    force = scale[:, None] * pulled
+    force = _once(scale[:, None] * pulled)
     metric = graph.information * scale[:, None, None]
-    metric = metric + 2 * bend[:, None, None] * pulled[:, :, None] * pulled[:, None, :]
-    turn = jax.vmap(jax.jacfwd(lambda r, v: _mv(lie.log_jacobian(r).swapaxes(-1, -2), v)))(r, force)
-    jb = jb_t.swapaxes(-1, -2)
-    jj = small_matmul(turn + small_matmul(jb_t, metric), jb)
-    jj = (jj + jj.swapaxes(-1, -2)) / 2
-    gj = _mv(jb_t, force)
-    bracket = jnp.sum(jnp.asarray(lie.bracket, r.dtype)[None] * gj[:, None, None, :], -1)
-    return _spread(jj, jj + bracket / 2, ad_t, gj)
+    metric = _once(metric + 2 * bend[:, None, None] * pulled[:, :, None] * pulled[:, None, :])
+    turn = lie.log_jacobian_turn(r, force)
+    jj = _once(small_matmul(_once(turn + small_matmul(jb_t, metric)), jb_t.swapaxes(-1, -2)))
+    gj = _once(_mv(jb_t, force))
+    halves = jnp.asarray(lie.bracket / 2, r.dtype)[None]
+    bracket = sum(halves[..., m] * gj[:, m, None, None] for m in range(lie.dim))
+    return _spread(_once(jj + bracket), _once(jj + 2 * bracket), ad_t, gj)

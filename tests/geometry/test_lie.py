@@ -53,6 +53,14 @@ def test_log_jacobian_is_the_derivative_of_the_log(group):
 
 
 @pytest.mark.parametrize("group", ["se2", "se3"])
+def test_the_turn_of_the_log_jacobian_is_its_derivative(group):
+    g, xi = lie.GROUPS[group], tangents(group)
+    covector = jnp.asarray(np.random.default_rng(1).normal(size=xi.shape))
+    turn = jax.jit(jax.vmap(jax.jacfwd(lambda x, c: g.log_jacobian(x).T @ c)))(xi, covector)
+    np.testing.assert_allclose(g.log_jacobian_turn(xi, covector), turn, atol=1e-12)
+
+
+@pytest.mark.parametrize("group", ["se2", "se3"])
 def test_second_derivatives_hold_at_every_angle(group):
     g, xi = lie.GROUPS[group], tangents(group, [t for t in ANGLES if t < 3.1], 1)
     through = lambda d, x: g.log(g.compose(g.exp(x), g.exp(d)))  # noqa: E731
