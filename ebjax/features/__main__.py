@@ -1,9 +1,8 @@
 """Matches two images of one floor and finds the motion between them."""
 
-import csv
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -12,20 +11,19 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
-from ebjax.command import run
+from ebjax.command import progress, run
 from ebjax.features.bench import bench
-from ebjax.features.equivariance import symmetric, through_turn
-from ebjax.features.extractor import EXTRACTORS, Extractor, extractor
-from ebjax.features.pair import Comparison, PlaneView, checked_quad, compare, extract, metric_view, quad_view, raw_view
-from ebjax.features.record import FLOOR, RAW, TURNED, conventions, describe, measure, summary
+from ebjax.features.equivariance import middle, stand_in, through_turn
+from ebjax.features.extractor import EXTRACTORS, extractor, usable
+from ebjax.features.pair import Comparison, PlaneView, checked_quad, metric_view, quad_view, raw_view
+from ebjax.features.record import FLOOR, RAW, TURNED, conventions, describe, matched_points, measure, summary
+from ebjax.features.table import Pair, as_json, compare_inputs, compare_pairs, markdown
 from ebjax.geometry.camera import Camera, FloorView
-from ebjax.geometry.ransac import Model
 from ebjax.io.atomic import whole_file, whole_folder
 from ebjax.io.camera_file import CameraFile, read_camera
 from ebjax.io.images import depth_share, read_depth, read_image
-from ebjax.models.catalogue import restore
-from ebjax.models.d2net import OFFSETS, convert
-from ebjax.models.seeded import seeded_state
+from ebjax.io.pairs import read_pairs
+from ebjax.models.d2net import OFFSETS
 from ebjax.slam.view import choose_floor
 from ebjax.viz import figures
 
@@ -65,11 +63,27 @@ class Config:
 
 
 @dataclass(frozen=True)
+class TableConfig:
+    """Compares the local features on pairs of known motion, as table 3 of the paper does; prints Markdown tables."""
+
+    pairs: tyro.conf.Positional[Path]
+    """Folder of folders, one a pair: a.png, b.png and gt.json with "quad" (as --quad, four points) and "H_a_to_b"."""
+    out: Path
+    """Folder for table.md and table.json."""
+    extractors: tuple[str, ...] = tuple(EXTRACTORS)
+    """Which local features; one that cannot be used here is left out, and why is said."""
+    weights: Path | None = None
+    """Folder of the networks' weights; None: $EBJAX_WEIGHTS or ~/.cache/ebjax/weights."""
+    seed: int = 0
+    """Of RANSAC."""
+
+
+@dataclass(frozen=True)
 class TurnConfig:
     """Draws how far D2-Net's keypoints move when the image is turned by pi, with the exact and the official offset."""
 
     image: tyro.conf.Positional[Path]
-    """JPEG or PNG; its sides are cut to multiples of 4."""
+    """JPEG or PNG; its middle is looked at, at most 480 px a side."""
     out: Path
     """The figure, PNG."""
     seed: int = 0
@@ -117,10 +131,7 @@ def main(config: Config) -> None:
     check(config)
     camera_file = None if config.camera is None else read_camera(config.camera, depth=config.depth_a is not None)
     size = None if camera_file is None else (camera_file.width, camera_file.height)
-    image_a, image_b = read_image(config.a, size), read_image(config.b, size)
-    if image_a.shape != image_b.shape:
-        sizes = [f"{image.shape[1]}x{image.shape[0]}" for image in (image_a, image_b)]
-        raise ValueError(f"{config.b}: {sizes[1]} pixels, but {config.a} has {sizes[0]}; give two images of one camera")
+    image_a, image_b = read_both(config.a, config.b, size)
     height, width = image_a.shape[:2]
     quad = None if config.quad is None else checked_quad(config.quad, width, height)
     depths = read_depths(config, camera_file)
@@ -129,12 +140,16 @@ def main(config: Config) -> None:
     if camera_file is not None:
         camera = Camera(camera_file.intrinsics, camera_file.base_from_camera, width, height)
     views = make_views(config, camera, quad, width, height)
-    extractors, absent = choose(config)
+    if config.extractor == "all":
+        extractors, absent = usable(tuple(EXTRACTORS), config.weights)
+    else:
+        extractors, absent = {config.extractor: extractor(config.extractor, config.weights)}, {}
     records, comparisons = [], []
     print(f"{'':10}" + "".join(f"{name:>16}" for name in (RAW, FLOOR, TURNED) if name == RAW or FLOOR in views))
     for name, chosen in extractors.items():
         row = f"{name:10}"
-        for kind, comparison, model in compare_all(config, chosen, views, image_a, image_b):
+        how: dict[str, Any] = {"model": config.model, "tolerance": config.tolerance, "seed": config.seed}
+        for kind, comparison, model in compare_inputs(chosen, views, image_a, image_b, **how):
             view = views[RAW if kind == RAW else FLOOR]
             comparisons.append(comparison)
             records.append(describe(name, kind, model, comparison, view, config.size))
@@ -143,7 +158,7 @@ def main(config: Config) -> None:
             row += f"{f'{comparison.inliers} / {comparison.total}':>14}" + (" *" if comparison.believed else "  ")
         print(row.rstrip())
     print("inliers / matches; * more than chance would show")
-    for reason in absent:
+    for reason in absent.values():
         print(f"left out: {reason}")
     if FLOOR not in views:
         print("floor views need --camera or --quad")
@@ -157,7 +172,20 @@ def main(config: Config) -> None:
         "best": best,
         "results": records,
     }
-    write(config.out, result, comparisons[best], records[best], image_a, image_b)
+    write(config.out, result, comparisons[best], records[best], (image_a, image_b))
+
+
+def read_both(a: Path, b: Path, size: tuple[int, int] | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Reads two images of one (width, height), the camera's where it is given.
+
+    Raises:
+      ValueError: an unreadable file, or two sizes.
+    """
+    images = read_image(a, size), read_image(b, size)
+    if images[0].shape != images[1].shape:
+        sizes = [f"{image.shape[1]}x{image.shape[0]}" for image in images]
+        raise ValueError(f"{b}: {sizes[1]} pixels, but {a} has {sizes[0]}; give two images of one camera")
+    return images
 
 
 def read_depths(config: Config, camera_file: CameraFile | None) -> tuple[np.ndarray, np.ndarray] | None:
@@ -194,77 +222,52 @@ def make_views(
     return views
 
 
-def choose(config: Config) -> tuple[dict[str, Extractor], list[str]]:
-    """The extractors to compare and, for `all`, why others cannot be used here.
-
-    Raises:
-      ValueError: the only one asked for cannot be used.
-    """
-    if config.extractor != "all":
-        return {config.extractor: extractor(config.extractor, config.weights)}, []
-    found, absent = {}, []
-    for name in EXTRACTORS:
-        try:
-            found[name] = extractor(name, config.weights)
-        except ValueError as error:
-            absent.append(str(error))
-    return found, absent
-
-
-def compare_all(
-    config: Config, chosen: Extractor, views: dict[str, PlaneView], image_a: np.ndarray, image_b: np.ndarray
-) -> Iterator[tuple[str, Comparison, Model]]:
-    """Yields (input, comparison, model) for the raw images, the floor views, and the floor views with R_pi."""
-    for place, view in views.items():
-        model = config.model
-        if model == "auto" or place == RAW:
-            model = "rigid" if view.metric else "homography"
-        a = extract(chosen, image_a, view)
-        for opposing in (False,) if place == RAW else (False, True):
-            b = extract(chosen, image_b, view, turned=opposing)
-            comparison = compare(a, b, view, model=model, tolerance=config.tolerance, seed=config.seed)
-            yield (TURNED if opposing else place), comparison, model
-
-
 def write(
-    out: Path,
-    result: dict[str, Any],
-    comparison: Comparison,
-    record: dict[str, Any],
-    image_a: np.ndarray,
-    image_b: np.ndarray,
+    out: Path, result: dict[str, Any], found: Comparison, record: dict[str, Any], images: tuple[np.ndarray, np.ndarray]
 ) -> None:
     """Writes the three files, all or none."""
-    matched = comparison.matched
-    rows = np.flatnonzero(np.asarray(matched.matched))
-    points_a = np.asarray(comparison.pixels[0], np.float64)[np.asarray(matched.query)[rows]]
-    points_b = np.asarray(comparison.pixels[1], np.float64)[np.asarray(matched.reference)[rows]]
-    inliers = np.asarray(matched.inliers)[rows]
+    points_a, points_b, inliers = matched_points(found)
     turned = record["input"] == TURNED
     title = f"{record['extractor']}, {record['input']}: {record['inliers']} of {record['total']} matches agree"
     if turned:
         title += "; the second image is turned by pi"
-    picture = figures.matches(image_a, image_b, points_a, points_b, inliers, turn_second=turned, title=title)
+    picture = figures.matches(*images, points_a, points_b, inliers, turn_second=turned, title=title)
     with whole_folder(out) as folder:
         (folder / "matches.png").write_bytes(picture)
-        with open(folder / "matches.csv", "w", newline="", encoding="utf-8") as file:
-            table = csv.writer(file, lineterminator="\n")
-            table.writerow(["x_a", "y_a", "x_b", "y_b", "inlier"])
-            for a, b, inlier in zip(points_a, points_b, inliers, strict=True):
-                table.writerow([*(f"{v:.3f}" for v in (*a, *b)), int(inlier)])
+        rows = np.column_stack([points_a, points_b, inliers])
+        head = "x_a,y_a,x_b,y_b,inlier"
+        np.savetxt(folder / "matches.csv", rows, ["%.3f"] * 4 + ["%d"], ",", header=head, comments="")
         text = json.dumps(result, indent=1, allow_nan=False)
         (folder / "transform.json").write_text(text + "\n", encoding="utf-8")
     print(f"wrote {out}")
 
 
+def table(config: TableConfig) -> None:
+    """Reads, compares, prints, writes."""
+    if unknown := [name for name in config.extractors if name not in EXTRACTORS]:
+        raise ValueError(f"extractor {unknown[0]!r} is unknown; choose of {', '.join(EXTRACTORS)}")
+    pairs = [Pair(f.name, *read_both(f.a, f.b), f.quad, f.b_from_a) for f in read_pairs(config.pairs)]
+    found, absent = usable(config.extractors, config.weights)
+    if not found:
+        raise ValueError(next(iter(absent.values())))
+    shown = progress(found.items(), label="Comparing")
+    rows = {name: compare_pairs(chosen, pairs, seed=config.seed) for name, chosen in shown}
+    lines = [*markdown(rows), "", *(f"Left out: {reason}" for reason in absent.values())]
+    print("\n".join(lines))
+    with whole_folder(config.out) as folder:
+        (folder / "table.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+        (folder / "table.json").write_text(as_json(rows, left_out=absent, seed=config.seed), encoding="utf-8")
+    print(f"wrote {config.out}")
+
+
 def turn(config: TurnConfig) -> None:
     """Reads, detects, draws."""
-    image = read_image(config.image)
-    image = image[: image.shape[0] // 4 * 4, : image.shape[1] // 4 * 4]
+    image = middle(read_image(config.image))
     if min(image.shape[:2]) < 32:
         raise ValueError(f"{config.image}: {image.shape[1]}x{image.shape[0]} pixels; give at least 32 a side")
-    network = symmetric(restore("d2net", convert(seeded_state("d2net", config.seed))))
-    rgb = jnp.asarray(image, jnp.float32) / 255
+    network = stand_in(config.seed)
+    # In float64: where a wall is all but white, float32 leaves nothing but its rounding to detect.
+    rgb = jnp.asarray(image, jnp.float64) / 255
     read = {f"{offset} offset": through_turn(network, rgb, offset) for offset in OFFSETS}
     for name, (here, there) in read.items():
         apart = np.abs(there - here)
@@ -280,17 +283,18 @@ def show_bench(config: BenchConfig) -> None:
     if min(config.pairs, config.keypoints, config.length, config.turns) < 1:
         raise ValueError("--pairs, --keypoints, --length and --turns must be at least 1")
     found = bench(config.pairs, config.keypoints, config.length, config.turns, config.seed)
-    print(f"{config.pairs} pairs of {config.keypoints} keypoints, {config.length} numbers each")
-    print(f"ebjax  {found.ours_s:7.2f} s, {found.ours_right:.0%} of the motions right")
-    print(
-        f"OpenCV {found.opencv_s:7.2f} s, {found.opencv_right:.0%}; {found.opencv_s / found.ours_s:.1f} times as long"
-    )
+    print(f"{config.pairs} pairs of {config.keypoints} keypoints of {config.length} numbers", *found.lines(), sep="\n")
+
+
+COMMANDS: dict[str, tuple[Callable[[Any], None], type]] = {
+    "table": (table, TableConfig),
+    "bench": (show_bench, BenchConfig),
+    "turn": (turn, TurnConfig),
+}
 
 
 if __name__ == "__main__":
-    if sys.argv[1:2] == ["bench"]:
-        run(show_bench, BenchConfig, sys.argv[2:])
-    elif sys.argv[1:2] == ["turn"]:
-        run(turn, TurnConfig, sys.argv[2:])
+    if sys.argv[1:2] and sys.argv[1] in COMMANDS:
+        run(*COMMANDS[sys.argv[1]], sys.argv[2:])
     else:
         run(main, Config)

@@ -30,6 +30,14 @@ class Timing:
     ours_right: float
     opencv_right: float
 
+    def lines(self) -> list[str]:
+        """One line for each side."""
+        ratio = self.opencv_s / self.ours_s
+        return [
+            f"ebjax  {self.ours_s:7.2f} s, {self.ours_right:.0%} of the motions right",
+            f"OpenCV {self.opencv_s:7.2f} s, {self.opencv_right:.0%}; {ratio:.1f} times as long",
+        ]
+
 
 def make_pairs(pairs: int, keypoints: int, length: int, seed: int) -> tuple[Features, Features, np.ndarray]:
     """Queries, references (leading axis: pairs) and query_from_reference, 3x3."""

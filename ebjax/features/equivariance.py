@@ -10,9 +10,11 @@ from typing import Any
 import jax
 import numpy as np
 from flax import nnx
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, UInt8
 
-from ebjax.models.d2net import D2Net, Offset, detect
+from ebjax.models.catalogue import restore
+from ebjax.models.d2net import D2Net, Offset, convert, detect
+from ebjax.models.seeded import seeded_state
 from ebjax.models.weights import flat_arrays, load_into
 
 EVERY = 10**7
@@ -25,6 +27,18 @@ def symmetric(network: nnx.Module) -> D2Net:
     result: Any = nnx.merge(*nnx.split(network))
     load_into(result, turned)
     return result
+
+
+def stand_in(seed: int) -> D2Net:
+    """A symmetric network with weights from a seed."""
+    return symmetric(restore("d2net", convert(seeded_state("d2net", seed))))
+
+
+def middle(image: UInt8[np.ndarray, "H W 3"], most: int = 480) -> UInt8[np.ndarray, "h w 3"]:
+    """The middle of an image, with sides that are multiples of 4 and at most `most` px."""
+    height, width = (min(length, most) // 4 * 4 for length in image.shape[:2])
+    top, left = (image.shape[0] - height) // 2, (image.shape[1] - width) // 2
+    return image[top : top + height, left : left + width]
 
 
 def through_turn(

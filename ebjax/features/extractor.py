@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 import importlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -84,3 +84,14 @@ def extractor(name: str, weights: Path | None = None) -> Extractor:
     except ImportError as error:
         raise ValueError(f'{name} needs {error.name}: pip install "ebjax[{name}]"') from None
     return found if isinstance(found, Extractor) else found(weights)
+
+
+def usable(names: Sequence[str], weights: Path | None = None) -> tuple[dict[str, Extractor], dict[str, str]]:
+    """Those of the named extractors that can be used here, and why each of the others cannot."""
+    found, absent = {}, {}
+    for name in names:
+        try:
+            found[name] = extractor(name, weights)
+        except ValueError as error:
+            absent[name] = str(error)
+    return found, absent

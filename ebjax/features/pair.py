@@ -61,14 +61,14 @@ def checked_quad(values: tuple[float, ...], width: int, height: int) -> np.ndarr
     quad = np.array(values, np.float64).reshape(4, 2)
     for x, y in quad:
         if not (0 <= x <= width - 1 and 0 <= y <= height - 1):
-            raise ValueError(f"--quad: ({x:g}, {y:g}) lies outside the {width}x{height} image; give points inside it")
+            raise ValueError(f"quad: ({x:g}, {y:g}) lies outside the {width}x{height} image; give points inside it")
     edges = np.roll(quad, -1, 0) - quad
     following = np.roll(edges, -1, 0)
     turns = edges[:, 0] * following[:, 1] - edges[:, 1] * following[:, 0]
     if (np.abs(turns) < 1e-4 * width * height).any():
-        raise ValueError("--quad: three of the points lie on a line; give the four corners of a patch of floor")
+        raise ValueError("quad: three of the points lie on a line; give the four corners of a patch of floor")
     if (turns < 0).any():
-        raise ValueError("--quad: not a convex patch in order; give far left, far right, near right, near left")
+        raise ValueError("quad: not a convex patch in order; give far left, far right, near right, near left")
     return quad
 
 

@@ -23,6 +23,23 @@ def unit(homography: np.ndarray) -> np.ndarray:
     return homography / homography[2, 2]
 
 
+def image_b_from_a(comparison: Comparison, view: PlaneView) -> np.ndarray:
+    """The motion as a homography, px of a to px of b."""
+    plane_from_image = view.plane_from_view @ np.linalg.inv(view.image_from_view)
+    return unit(np.linalg.inv(plane_from_image) @ np.linalg.inv(comparison.a_from_b) @ plane_from_image)
+
+
+def matched_points(comparison: Comparison) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(x, y) px of the matches in a and in b, and which agree."""
+    matched = comparison.matched
+    rows = np.flatnonzero(np.asarray(matched.matched))
+    points = (
+        np.asarray(pixels, np.float64)[np.asarray(index)[rows]]
+        for pixels, index in zip(comparison.pixels, (matched.query, matched.reference), strict=True)
+    )
+    return *points, np.asarray(matched.inliers)[rows]
+
+
 def describe(name: str, kind: str, model: str, comparison: Comparison, view: PlaneView, size: int) -> dict[str, Any]:
     """One line of the table with its homographies, for transform.json."""
     record: dict[str, Any] = {"extractor": name, "input": kind, "model": model}
@@ -30,12 +47,10 @@ def describe(name: str, kind: str, model: str, comparison: Comparison, view: Pla
     record |= {"guided_inliers": int(comparison.matched.count) if comparison.believed else None}
     if not comparison.inliers:
         return record
-    plane_b_from_a = np.linalg.inv(comparison.a_from_b)
-    plane_from_image = view.plane_from_view @ np.linalg.inv(view.image_from_view)
-    record["image_b_from_a"] = number_list(unit(np.linalg.inv(plane_from_image) @ plane_b_from_a @ plane_from_image))
+    record["image_b_from_a"] = number_list(image_b_from_a(comparison, view))
     if kind != RAW:
         turned = np.array([[-1.0, 0, size], [0, -1.0, size], [0, 0, 1]])
-        turn = kind == TURNED and not view.metric
+        turn, plane_b_from_a = kind == TURNED and not view.metric, np.linalg.inv(comparison.a_from_b)
         record["floor_b_from_a"] = number_list(unit(turned @ plane_b_from_a if turn else plane_b_from_a))
     return record
 

@@ -3,15 +3,13 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from ebjax.features.equivariance import symmetric, through_turn
-from ebjax.models.catalogue import restore
-from ebjax.models.d2net import SCALES, convert
-from ebjax.models.seeded import seeded_state
+from ebjax.features.equivariance import stand_in, through_turn
+from ebjax.models.d2net import SCALES
 
 
 @pytest.fixture(scope="module")
 def network():
-    return symmetric(restore("d2net", convert(seeded_state("d2net", 3))))
+    return stand_in(3)
 
 
 @pytest.fixture(scope="module")

@@ -1,27 +1,18 @@
-import json
-
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from flax import nnx
 from scipy.ndimage import gaussian_filter
 
-from ebjax.features.__main__ import Config, main
 from ebjax.features.extractor import extractor
 from ebjax.features.matching import mutual_nearest
 from ebjax.models.alike import ALIKE, VARIANTS
 from ebjax.models.catalogue import MODELS, resolve
-from ebjax.models.convert import convert_checkpoint
 from ebjax.models.locate import locate
 from ebjax.models.seeded import seeded_state
 from ebjax.models.weights import flat_arrays, save_weights
 
 NETWORKS = ["superpoint", "d2net", "alike"]
-QUADS = {
-    "ceramic": (180, 299, 460, 290, 585, 443, 66, 462),
-    "marble": (544, 649, 1379, 646, 1602, 1049, 300, 1045),
-    "stone": (544, 649, 1379, 646, 1602, 1049, 300, 1045),
-}
 
 
 @pytest.fixture(scope="module")
@@ -102,20 +93,3 @@ def test_networks_refuse_without_their_weights(weights, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     with pytest.raises(ValueError, match=str(tmp_path / "ebjax" / "weights" / "d2net.safetensors")):
         locate("d2net")
-
-
-@pytest.mark.parametrize("name", QUADS)
-def test_alike_finds_real_opposing_pairs_on_the_turned_floor(data, tmp_path, name, capsys):
-    kind, arrays, _ = convert_checkpoint(data("reference") / "alike-n.pth")
-    save_weights(tmp_path / "alike.safetensors", kind, arrays)
-    folder = data("opposing_pairs") / name
-    images = [next(folder.glob(f"{side}.[pj]*g")) for side in "ab"]
-    main(Config(*images, tmp_path / "out", quad=tuple(map(float, QUADS[name])), extractor="alike", weights=tmp_path))
-    result = json.loads((tmp_path / "out" / "transform.json").read_text())
-    best = result["results"][result["best"]]
-    assert best["input"] == "floor + pi" and best["believed"] and best["inliers"] > 100
-    truth = json.loads((folder / "gt.json").read_text())
-    a, b = np.array(truth["points_topA"]), np.array(truth["points_rot180_topB"])
-    moved = np.c_[a, np.ones(len(a))] @ np.array(best["floor_b_from_a"]).T
-    assert np.linalg.norm(moved[:, :2] / moved[:, 2:] - b, axis=1).mean() < 3
-    assert "alike" in capsys.readouterr().out

@@ -1,0 +1,67 @@
+"""A folder of pairs of images of one floor with known homographies: one folder a pair, with a.*, b.* and gt.json."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from ebjax.io.text import read_text
+
+IMAGES = (".png", ".jpg", ".jpeg")
+FORM = 'give "quad": four (x, y) px of a\'s floor, and "H_a_to_b": 3 x 3, px of a to px of b'
+
+
+@dataclass(frozen=True)
+class PairFiles:
+    """Two images of one floor by one camera.
+
+    Attributes:
+      name: of the pair's folder.
+      a: the first image.
+      b: the second.
+      quad: the floor in either image, (x, y) px: far left, far right, near right, near left.
+      b_from_a: homography of the floor, px of a to px of b.
+    """
+
+    name: str
+    a: Path
+    b: Path
+    quad: Float[np.ndarray, "4 2"]
+    b_from_a: Float[np.ndarray, "3 3"]
+
+
+def read_pairs(folder: str | Path) -> list[PairFiles]:
+    """Reads the folders in `folder` that have a gt.json, by name.
+
+    Raises:
+      ValueError: there is none, an image of one is missing, or its gt.json has not the form above.
+      OSError: the folder cannot be read.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise NotADirectoryError(20, "not a folder", str(folder))
+    pairs = [_read_pair(path) for path in sorted(folder.glob("*/gt.json"))]
+    if not pairs:
+        raise ValueError(f"{folder}: no pair in it; give a folder of folders, each with a.png, b.png and gt.json")
+    return pairs
+
+
+def _read_pair(path: Path) -> PairFiles:
+    try:
+        values = json.loads(read_text(path))
+        quad, homography = (np.array(values[key], np.float64) for key in ("quad", "H_a_to_b"))
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{path}: {FORM} ({' '.join(str(error).split())})") from None
+    numbers = np.isfinite(quad).all() and np.isfinite(homography).all()
+    if quad.shape != (4, 2) or homography.shape != (3, 3) or not numbers or abs(np.linalg.det(homography)) < 1e-12:
+        raise ValueError(f"{path}: {FORM}")
+    return PairFiles(path.parent.name, _image(path, "a"), _image(path, "b"), quad, homography)
+
+
+def _image(path: Path, side: str) -> Path:
+    found = [image for image in sorted(path.parent.glob(f"{side}.*")) if image.suffix.lower() in IMAGES]
+    if not found:
+        raise ValueError(f"{path.parent}: no image {side}.png or {side}.jpg")
+    return found[0]
