@@ -1,12 +1,12 @@
 """Finds images of the same floor among others, from either side."""
 
 import csv
+import functools
 import json
 import math
 import re
 import sys
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -22,16 +22,15 @@ from ebjax.io.atomic import whole_file
 from ebjax.io.camera_file import read_camera
 from ebjax.io.images import BrokenFrame, read_image
 from ebjax.io.text import read_text
-from ebjax.places.descriptor_map import MIN_SUPPORT, dense
+from ebjax.places.descriptor import Descriptor, descriptor
 from ebjax.places.recall import recall_at
 from ebjax.places.search import SHORTLIST, search
-from ebjax.slam.describe import LUMA, SUPERSAMPLE, floor_view, view_taps
+from ebjax.slam.describe import SUPERSAMPLE, floor_view, view_taps
 from ebjax.slam.view import choose_floor, from_camera, from_quad
 
 Quad = tuple[float, float, float, float, float, float, float, float]
 SUFFIXES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm"}
 COLUMNS = ("query", "rank", "name", "direction", "distance")
-RAW_PX = 200
 
 
 @dataclass(frozen=True)
@@ -59,8 +58,14 @@ class PlacesConfig:
     """Of the floor view of --camera, m."""
     opposing: Literal["both", "only", "none"] = "both"
     """Look for places seen from the same and the opposite side, from the opposite side only, or from the same only."""
-    ranking: Literal["correlation", "cosine"] = "correlation"
-    """Shift-maximised correlation of maps, or the paper's cosine of global descriptors."""
+    descriptor: str = "rootsift-vlad"
+    """Global descriptor: rootsift-vlad, hog, joint (floor and whole image), or of a network netvlad, superpoint,
+    resnet50 or vgg19 (flattened map), resnet50-pooled, vgg19-pooled."""
+    weights: Path | None = None
+    """Of a network: its .safetensors file, or a folder of them; None: $EBJAX_WEIGHTS or ~/.cache/ebjax/weights."""
+    ranking: Literal["auto", "correlation", "cosine"] = "auto"
+    """The paper's cosine of global descriptors, or shift-maximised correlation of maps (rootsift-vlad only, and its
+    default)."""
     top: int = 20
     """Candidates written for each query."""
     truth: Path | None = None
@@ -114,21 +119,22 @@ def read_truth(path: Path, queries: int, references: int) -> dict[int, list[int]
 
 
 class Looker:
-    """Turns images into dense place maps of their floor views; fixed by the first readable image's size."""
+    """Turns images into what a descriptor keeps of their floor views; fixed by the first readable image's size."""
 
-    def __init__(self, config: PlacesConfig):
+    def __init__(self, config: PlacesConfig, chosen: Descriptor):
         """Raises ValueError unless exactly one way to look at the floor is given."""
         ways = (config.camera is not None) + (config.quad is not None) + config.raw
         if ways != 1:
             raise ValueError(f"{ways} of --camera, --quad and --raw are given; give one")
-        self.config = config
+        self.config, self.descriptor = config, chosen
+        self._look = jax.jit(chosen.look) if chosen.jitted else chosen.look
         self.file = read_camera(config.camera, depth=False) if config.camera is not None else None
         self.size = (self.file.width, self.file.height) if self.file else None
         self.samples: Taps | None = None
-        self.seen = jnp.zeros((0, 0))
+        self.seen = jnp.zeros((0, 0), bool)
 
-    def look(self, path: Path) -> np.ndarray:
-        """The dense map of an image's view, float16.
+    def look(self, path: Path) -> dict[str, np.ndarray]:
+        """What is kept of an image's view.
 
         Raises:
           BrokenFrame: the image cannot be read.
@@ -146,13 +152,14 @@ class Looker:
                 "give images of one camera at its full size"
             )
         samples = self.samples if size == self.size else _whole_image(size, self.seen.shape)
-        return np.asarray(_dense_view(image, samples, self.seen))
+        view = _view(image, samples)
+        return jax.tree.map(np.asarray, dict(self._look(view, self.seen, image)))
 
     def _prepare(self, size: tuple[int, int]) -> None:
         if self.config.raw:
-            scale = RAW_PX / max(size)
+            scale = self.descriptor.side_px / max(size)
             view_size = round(size[1] * scale), round(size[0] * scale)
-            self.size, self.seen = size, jnp.ones(view_size, jnp.float32)
+            self.size, self.seen = size, jnp.ones(view_size, bool)
             self.samples = _whole_image(size, view_size)
             return
         if self.file is not None:
@@ -169,12 +176,13 @@ class Looker:
         else:
             # The quad alone fixes the view; only its place on the floor in metres, unused here, needs a camera.
             camera = camera_over_floor(500.0, 500.0, 0.0, 0.0, *size, 1.0, 0.5)
-            view = from_quad(camera, np.array(self.config.quad, np.float64).reshape(4, 2), self.config.quad_margin)
+            quad, side = np.array(self.config.quad, np.float64).reshape(4, 2), self.descriptor.side_px
+            view = from_quad(camera, quad, self.config.quad_margin, (side, side))
         self.size = camera.width, camera.height
-        self.samples, self.seen = view_taps(view, camera), view.seen.astype(jnp.float32)
+        self.samples, self.seen = view_taps(view, camera), view.seen
 
 
-@partial(jax.jit, static_argnums=(0, 1))
+@functools.partial(jax.jit, static_argnums=(0, 1))
 def _whole_image(size: tuple[int, int], view_size: tuple[int, int]) -> Taps:
     fine = SUPERSAMPLE * view_size[0], SUPERSAMPLE * view_size[1]
     sx, sy = size[0] / fine[1], size[1] / fine[0]
@@ -182,71 +190,62 @@ def _whole_image(size: tuple[int, int], view_size: tuple[int, int]) -> Taps:
     return taps(jnp.array([[sx, 0, (sx - 1) / 2], [0, sy, (sy - 1) / 2], [0, 0, 1]], jnp.float32), fine, size[::-1])
 
 
-@jax.jit
-def _dense_view(image, samples: Taps, seen):
-    grey = floor_view(image, samples) @ jnp.asarray(LUMA, jnp.float32)
-    return dense(grey, seen)[0].astype(jnp.float16)
+_view = jax.jit(floor_view)
 
 
-@jax.jit
-def _support(seen):
-    return dense(jnp.zeros_like(seen), seen)[1]
+def _stack(kept: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """Views as rows of one array a name."""
+    return {name: np.stack([one[name] for one in kept]) for name in kept[0]}
 
 
-def look_at_all(paths: list[Path], looker: Looker, label: str) -> tuple[np.ndarray, list[int], list[str]]:
-    """Dense maps of the readable images, their numbers, and what is wrong with the others.
+def look_at_all(
+    paths: list[Path], looker: Looker, label: str
+) -> tuple[list[dict[str, np.ndarray]], list[int], list[str]]:
+    """What is kept of the readable images, their numbers, and what is wrong with the others.
 
     Raises:
       ValueError: none is readable.
     """
-    maps, numbers, broken = [], [], []
+    kept, numbers, broken = [], [], []
     for number, path in enumerate(progress(paths, len(paths), label)):
         try:
-            maps.append(looker.look(path))
+            kept.append(looker.look(path))
         except BrokenFrame as fault:
             broken.append(" ".join(str(fault).split()))
             continue
         numbers.append(number)
-    if not maps:
+    if not kept:
         raise ValueError(f"{paths[0].parent}: none of {len(paths)} images can be read ({broken[0]})")
-    return np.stack(maps), numbers, broken
+    return kept, numbers, broken
 
 
 def main(config: PlacesConfig) -> None:
     """Reads, ranks, writes ranked.csv and prints R@1 and R@5 if the truth is given."""
     if config.top < 1:
         raise ValueError(f"--top is {config.top}; give a number of candidates, 1 or more")
-    looker = Looker(config)
+    chosen = descriptor(config.descriptor, config.weights)
+    looker = Looker(config, chosen)
     names = [list_images(config.database)]
     same_folder = config.database.resolve() == config.queries.resolve()
     names.append(names[0] if same_folder else list_images(config.queries))
     truth = read_truth(config.truth, len(names[1]), len(names[0])) if config.truth is not None else None
-    references, numbers, broken = look_at_all(names[0], looker, "database")
-    maps, asked = references, numbers
+    kept, numbers, broken = look_at_all(names[0], looker, "database")
+    asked = numbers
     if not same_folder:
         ours, asked, more = look_at_all(names[1], looker, "queries")
-        maps, broken = np.concatenate([references, ours]), broken + more
+        kept, broken = kept + ours, broken + more
     for fault in broken:
         print(f"skipped: {fault}", file=sys.stderr)
 
-    rows = np.arange(len(maps) - len(asked), len(maps))
-    allowed = np.zeros((len(rows), len(maps), 2), bool)
-    allowed[:, : len(references)] = np.array([config.opposing != "only", config.opposing != "none"])[None, None, :]
+    rows = np.arange(len(kept) - len(asked), len(kept))
+    allowed = np.zeros((len(rows), len(kept), 2), bool)
+    allowed[:, : len(numbers)] = np.array([config.opposing != "only", config.opposing != "none"])[None, None, :]
     if same_folder:
         allowed[np.arange(len(rows)), rows] = False
-    found = jax.tree.map(
-        np.asarray,
-        search(
-            maps,
-            _support(looker.seen),
-            jnp.asarray(allowed),
-            ranking=config.ranking,
-            min_support=MIN_SUPPORT,
-            seed=config.seed,
-            queries=rows,
-            top=max(SHORTLIST, config.top),
-        ),
-    )
+    places = chosen.unite(_stack(kept), seed=config.seed)
+    top = max(SHORTLIST, config.top)
+    found = search(places, jnp.asarray(allowed), ranking=config.ranking, queries=rows, top=top)
+    found = jax.tree.map(np.asarray, found)
     ranked: list[list[int]] = [[] for _ in names[1]]
     with whole_file(config.out / "ranked.csv") as file:
         table = csv.writer(file, lineterminator="\n")
