@@ -15,16 +15,18 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
+import ebjax
 from ebjax.command import dump_config, progress, run
 from ebjax.geometry.camera import Camera, camera_over_floor
 from ebjax.geometry.warp import Taps, taps
 from ebjax.io.atomic import whole_file
+from ebjax.io.cache import Cache, content_key, digest
 from ebjax.io.camera_file import read_camera
 from ebjax.io.images import BrokenFrame, read_image
 from ebjax.io.text import read_text
 from ebjax.places.descriptor import Descriptor, descriptor
 from ebjax.places.recall import recall_at
-from ebjax.places.search import SHORTLIST, search
+from ebjax.places.search import SHORTLIST, check_ranking, search
 from ebjax.slam.describe import SUPERSAMPLE, floor_view, view_taps
 from ebjax.slam.view import choose_floor, from_camera, from_quad
 
@@ -72,6 +74,8 @@ class PlacesConfig:
     """JSON object: number of a query -> list of the numbers of accepted references, counted from 0 in natural order."""
     seed: int = 0
     """Of the vocabulary."""
+    cache: Path | None = None
+    """Folder where what is kept of every image stays for the next run; None: nowhere."""
 
 
 def natural(path: Path) -> tuple[list[tuple[int, str]], str]:
@@ -130,6 +134,7 @@ class Looker:
         self._look = jax.jit(chosen.look) if chosen.jitted else chosen.look
         self.file = read_camera(config.camera, depth=False) if config.camera is not None else None
         self.size = (self.file.width, self.file.height) if self.file else None
+        self.cache: Cache | None = None
         self.samples: Taps | None = None
         self.seen = jnp.zeros((0, 0), bool)
 
@@ -140,10 +145,16 @@ class Looker:
           BrokenFrame: the image cannot be read.
           ValueError: it has another size than the camera or the first image.
         """
+        if self.samples is None:
+            height, width, _ = read_image(path).shape
+            self._prepare((width, height))
+        if self.cache is None:
+            return self._describe(path)
+        return dict(self.cache.recall(content_key(path), lambda: self._describe(path)))
+
+    def _describe(self, path: Path) -> dict[str, np.ndarray]:
         image = read_image(path)
         size = image.shape[1], image.shape[0]
-        if self.samples is None:
-            self._prepare(size)
         if size != self.size and not self.config.raw:
             source = self.config.camera or "the first image"
             assert self.size is not None
@@ -156,6 +167,22 @@ class Looker:
         return jax.tree.map(np.asarray, dict(self._look(view, self.seen, image)))
 
     def _prepare(self, size: tuple[int, int]) -> None:
+        self._choose_view(size)
+        if self.config.cache is not None:
+            assert self.samples is not None
+            arrays = (np.asarray(leaf) for leaf in (*jax.tree.leaves(self.samples), self.seen))
+            weights = self.descriptor.weights
+            settings = {
+                "ebjax": ebjax.__version__,
+                "weights": None if weights is None else digest(weights.read_bytes()),
+                "view": digest(*arrays),
+                "side_px": self.descriptor.side_px,
+            }
+            self.cache = Cache(self.config.cache, self.config.descriptor, settings)
+            for shard in self.cache.damaged:
+                print(f"{shard}: damaged; its images are described again", file=sys.stderr)
+
+    def _choose_view(self, size: tuple[int, int]) -> None:
         if self.config.raw:
             scale = self.descriptor.side_px / max(size)
             view_size = round(size[1] * scale), round(size[0] * scale)
@@ -207,13 +234,17 @@ def look_at_all(
       ValueError: none is readable.
     """
     kept, numbers, broken = [], [], []
-    for number, path in enumerate(progress(paths, len(paths), label)):
-        try:
-            kept.append(looker.look(path))
-        except BrokenFrame as fault:
-            broken.append(" ".join(str(fault).split()))
-            continue
-        numbers.append(number)
+    try:
+        for number, path in enumerate(progress(paths, len(paths), label)):
+            try:
+                kept.append(looker.look(path))
+            except BrokenFrame as fault:
+                broken.append(" ".join(str(fault).split()))
+                continue
+            numbers.append(number)
+    finally:
+        if looker.cache is not None:
+            looker.cache.flush()
     if not kept:
         raise ValueError(f"{paths[0].parent}: none of {len(paths)} images can be read ({broken[0]})")
     return kept, numbers, broken
@@ -223,7 +254,10 @@ def main(config: PlacesConfig) -> None:
     """Reads, ranks, writes ranked.csv and prints R@1 and R@5 if the truth is given."""
     if config.top < 1:
         raise ValueError(f"--top is {config.top}; give a number of candidates, 1 or more")
+    if config.raw and config.descriptor == "joint":
+        raise ValueError("--descriptor joint needs a floor beside the whole image: give --camera or --quad, not --raw")
     chosen = descriptor(config.descriptor, config.weights)
+    check_ranking(config.ranking, chosen.has_maps)
     looker = Looker(config, chosen)
     names = [list_images(config.database)]
     same_folder = config.database.resolve() == config.queries.resolve()

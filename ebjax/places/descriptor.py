@@ -52,13 +52,17 @@ class Descriptor:
         view was taken from) -> arrays by name, of one shape for all views of one size.
       unite: (those arrays, stacked over the views of a run; seed=int) -> Places.
       jitted: whether `look` may be called inside a jitted program; else it is called from the host.
+      has_maps: whether `unite` gives maps that can be correlated.
       side_px: the longer side that a view should have, where that is free to choose.
+      weights: the file they were read from.
     """
 
     look: Callable[..., Mapping[str, Array]]
     unite: Callable[..., Places]
     jitted: bool = True
+    has_maps: bool = False
     side_px: int = 200
+    weights: Path | None = None
 
 
 @functools.cache

@@ -54,7 +54,7 @@ def network_descriptor(
     def look(view: Float[Array, "H W 3"], seen: Bool[Array, "H W"], image: Any) -> Mapping[str, Array]:
         return _look(graph, state, jnp.asarray(view), jnp.asarray(seen), read, side_px)
 
-    return Descriptor(look, unite, jitted=False, side_px=side_px)
+    return Descriptor(look, unite, jitted=False, side_px=side_px, weights=path)
 
 
 @partial(jax.jit, static_argnames=("graph", "read", "side_px"))

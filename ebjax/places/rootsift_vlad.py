@@ -112,4 +112,4 @@ def unite(kept: Mapping[str, np.ndarray], *, seed: int = 0) -> Places:
     return Places(global_descriptors(maps, space, seed=seed), maps, space)
 
 
-ROOTSIFT_VLAD = Descriptor(look, unite)
+ROOTSIFT_VLAD = Descriptor(look, unite, has_maps=True)

@@ -15,6 +15,14 @@ SHORTLIST = 20
 RANKINGS = ("auto", "correlation", "cosine")
 
 
+def check_ranking(ranking: str, has_maps: bool) -> None:
+    """Raises ValueError where the ranking is unknown, or correlates what has no maps."""
+    if ranking not in RANKINGS:
+        raise ValueError(f"ranking {ranking!r} is unknown; choose {', '.join(RANKINGS)}")
+    if ranking == "correlation" and not has_maps:
+        raise ValueError("this descriptor has no maps to correlate; rank by cosine, or take rootsift-vlad")
+
+
 def search(
     places: Places,
     allowed: Bool[Array, "Q N 2"],
@@ -33,12 +41,9 @@ def search(
       top: views of each direction that are shortlisted.
 
     Raises:
-      ValueError: unknown ranking, or a correlation without maps.
+      ValueError: as `check_ranking`.
     """
-    if ranking not in RANKINGS:
-        raise ValueError(f"ranking {ranking!r} is unknown; choose {', '.join(RANKINGS)}")
-    if ranking == "correlation" and places.maps is None:
-        raise ValueError("this descriptor has no maps to correlate; rank by cosine, or take rootsift-vlad")
+    check_ranking(ranking, places.maps is not None)
     asked = np.arange(len(places.vectors), dtype=np.int32) if queries is None else queries.astype(np.int32)
     cosine, j = shortlist(places.vectors, asked, allowed, k=top)
     if ranking == "cosine" or places.maps is None:

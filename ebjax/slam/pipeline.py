@@ -21,7 +21,7 @@ from ebjax.features.verify import Verified, verify
 from ebjax.geometry.camera import Camera
 from ebjax.places.descriptor import descriptor
 from ebjax.places.retrieve import LoopCandidates, comparable
-from ebjax.places.search import search
+from ebjax.places.search import check_ranking, search
 from ebjax.posegraph.graph import PoseGraph, make_graph
 from ebjax.posegraph.levenberg import Solution
 from ebjax.posegraph.lm import solve
@@ -136,6 +136,7 @@ def run(
 
     start = time.perf_counter()
     chosen, place = extractor(config.extractor, config.weights), descriptor(config.descriptor, config.weights)
+    check_ranking(config.ranking, place.has_maps)
     frames = moved_enough(odom_from_base, config.keyframe_m, config.keyframe_deg)
     keyframes, described = describe_keyframes(load, frames, camera, view, chosen, place, progress)
     stage("describe", start)
