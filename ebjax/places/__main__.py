@@ -24,6 +24,7 @@ from ebjax.io.cache import Cache, content_key, digest
 from ebjax.io.camera_file import read_camera
 from ebjax.io.images import BrokenFrame, read_image
 from ebjax.io.text import read_text
+from ebjax.places.bench import CONTENDERS, bench
 from ebjax.places.descriptor import Descriptor, descriptor
 from ebjax.places.recall import recall_at
 from ebjax.places.search import SHORTLIST, check_ranking, search
@@ -300,5 +301,37 @@ def main(config: PlacesConfig) -> None:
         print(f"{shown}  of {recalls[0][2]} queries with an accepted reference (skipped ones count as not found)")
 
 
+@dataclass(frozen=True)
+class BenchConfig:
+    """Times the exhaustive search for the nearest descriptors against faiss and NumPy, turn by turn in one run."""
+
+    length: int = 4096
+    """Of a descriptor."""
+    top: int = 20
+    """Descriptors that are looked for."""
+    sizes: tuple[tuple[int, int], ...] = ((4096, 4096), (100_000, 100), (100_000, 1))
+    """References and queries of each line."""
+    turns: int = 5
+    """How often everyone searches; the median counts."""
+    seed: int = 0
+    """Of the descriptors."""
+
+
+def show_bench(config: BenchConfig) -> None:
+    """Prints a table: ms, and whether all found the same."""
+    if min(config.length, config.top, config.turns, *(n for size in config.sizes for n in size)) < 1:
+        raise ValueError("--length, --top, --sizes and --turns must be at least 1")
+    print(f"{'references':>10} {'queries':>8} {'ebjax':>9} {'faiss':>9} {'NumPy':>9}   ms; same answers")
+    for references, queries in config.sizes:
+        row = bench(references, queries, config.length, config.top, config.turns, config.seed)
+        times = "".join(f"{row.ms[name]:10.1f}" if name in row.ms else f"{'-':>10}" for name in CONTENDERS)
+        print(f"{references:10} {queries:8}{times}   {row.same:.4%}", flush=True)
+    if "faiss" not in row.ms:
+        print('faiss is not installed: pip install "ebjax[oracle]"')
+
+
 if __name__ == "__main__":
-    run(main, PlacesConfig)
+    if sys.argv[1:2] == ["bench"]:
+        run(show_bench, BenchConfig, sys.argv[2:])
+    else:
+        run(main, PlacesConfig)
