@@ -132,12 +132,20 @@ class Cache:
             self._waiting = {}
         self._written = time.monotonic()
 
+    def remember(self, compute: Callable[..., Mapping[str, Any]]) -> Callable[..., Mapping[str, np.ndarray]]:
+        """A function of arrays that looks its result up under their digest, and computes and keeps it if need be."""
+
+        def recalled(*arrays: Any) -> Mapping[str, np.ndarray]:
+            return self.recall(digest(*map(np.asarray, arrays)), lambda: compute(*arrays))
+
+        return recalled
+
     def recall(self, key: str | None, compute: Callable[[], Mapping[str, np.ndarray]]) -> Mapping[str, np.ndarray]:
         """The arrays of a key, computed and kept if they are not there; without a key, computed."""
         if key is None:
             return compute()
         kept = self.get(key)
         if kept is None:
-            kept = dict(compute())
+            kept = {name: np.asarray(array) for name, array in compute().items()}
             self.put(key, kept)
         return kept

@@ -1,10 +1,7 @@
 """Finds images of the same floor among others, from either side."""
 
 import csv
-import functools
-import json
 import math
-import re
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,22 +14,21 @@ import tyro
 
 import ebjax
 from ebjax.command import dump_config, progress, run
-from ebjax.geometry.camera import Camera, camera_over_floor
-from ebjax.geometry.warp import Taps, taps
+from ebjax.geometry.camera import Camera
+from ebjax.geometry.warp import Taps
 from ebjax.io.atomic import whole_file
 from ebjax.io.cache import Cache, content_key, digest
 from ebjax.io.camera_file import read_camera
+from ebjax.io.image_folder import list_images, read_truth
 from ebjax.io.images import BrokenFrame, read_image
-from ebjax.io.text import read_text
 from ebjax.places.bench import CONTENDERS, bench
 from ebjax.places.descriptor import Descriptor, descriptor
 from ebjax.places.recall import recall_at
 from ebjax.places.search import SHORTLIST, check_ranking, search
-from ebjax.slam.describe import SUPERSAMPLE, floor_view, view_taps
-from ebjax.slam.view import choose_floor, from_camera, from_quad
+from ebjax.slam.describe import floor_view
+from ebjax.slam.look import camera_view, quad_view, whole_image
 
 Quad = tuple[float, float, float, float, float, float, float, float]
-SUFFIXES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm"}
 COLUMNS = ("query", "rank", "name", "direction", "distance")
 
 
@@ -79,50 +75,6 @@ class PlacesConfig:
     """Folder where what is kept of every image stays for the next run; None: nowhere."""
 
 
-def natural(path: Path) -> tuple[list[tuple[int, str]], str]:
-    """A key that sorts img2 before img10."""
-    parts = re.split(r"(\d+)", path.name.lower())
-    return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts], path.name
-
-
-def list_images(folder: Path) -> list[Path]:
-    """The images of a folder in natural order.
-
-    Raises:
-      ValueError: no folder, or no image in it.
-    """
-    if not folder.is_dir():
-        raise ValueError(f"{folder}: not a folder; give a folder of images")
-    files = [file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES and file.is_file()]
-    if not files:
-        raise ValueError(f"{folder}: no images in it; give a folder of JPEG or PNG files")
-    return sorted(files, key=natural)
-
-
-def read_truth(path: Path, queries: int, references: int) -> dict[int, list[int]]:
-    """Reads which references are accepted for each query.
-
-    Raises:
-      ValueError: not such a JSON object, or a number beyond the images; names file and key.
-    """
-    try:
-        values = json.loads(read_text(path))
-    except json.JSONDecodeError as error:
-        raise ValueError(f"{path} line {error.lineno}: not JSON ({error.msg}); correct the file") from None
-    if not isinstance(values, dict):
-        raise ValueError(f"{path}: not a JSON object; write {{query number: [reference numbers]}}")
-    truth = {}
-    for key, row in values.items():
-        if not key.isdecimal() or int(key) >= queries:
-            raise ValueError(f"{path}: key {key!r} is not the number of a query, 0 to {queries - 1}; correct it")
-        if not isinstance(row, list) or not all(type(n) is int and 0 <= n < references for n in row):
-            raise ValueError(
-                f"{path}: key {key!r} is not a list of reference numbers, 0 to {references - 1}; correct it"
-            )
-        truth[int(key)] = row
-    return truth
-
-
 class Looker:
     """Turns images into what a descriptor keeps of their floor views; fixed by the first readable image's size."""
 
@@ -163,7 +115,7 @@ class Looker:
                 f"{path}: {size[0]}x{size[1]} pixels, but {source} says {self.size[0]}x{self.size[1]}; "
                 "give images of one camera at its full size"
             )
-        samples = self.samples if size == self.size else _whole_image(size, self.seen.shape)
+        samples = self.samples if size == self.size else whole_image(size, self.seen.shape)
         view = _view(image, samples)
         return jax.tree.map(np.asarray, dict(self._look(view, self.seen, image)))
 
@@ -184,38 +136,21 @@ class Looker:
                 print(f"{shard}: damaged; its images are described again", file=sys.stderr)
 
     def _choose_view(self, size: tuple[int, int]) -> None:
+        side = self.descriptor.side_px
         if self.config.raw:
-            scale = self.descriptor.side_px / max(size)
-            view_size = round(size[1] * scale), round(size[0] * scale)
-            self.size, self.seen = size, jnp.ones(view_size, bool)
-            self.samples = _whole_image(size, view_size)
-            return
-        if self.file is not None:
-            camera = Camera(
-                jnp.asarray(self.file.intrinsics),
-                jnp.asarray(self.file.base_from_camera),
-                self.file.width,
-                self.file.height,
-            )
+            scale = side / max(size)
+            self.seen = jnp.ones((round(size[1] * scale), round(size[0] * scale)), bool)
+            self.size, self.samples = size, whole_image(size, self.seen.shape)
+        elif self.file is not None:
+            self.size = self.file.width, self.file.height
+            camera = Camera(jnp.asarray(self.file.intrinsics), jnp.asarray(self.file.base_from_camera), *self.size)
             try:
-                view = from_camera(camera, choose_floor(camera, self.config.metres_per_px))
+                self.samples, self.seen = camera_view(camera, self.config.metres_per_px)
             except ValueError as fault:
                 raise ValueError(f"{self.config.camera}: {fault}") from None
         else:
-            # The quad alone fixes the view; only its place on the floor in metres, unused here, needs a camera.
-            camera = camera_over_floor(500.0, 500.0, 0.0, 0.0, *size, 1.0, 0.5)
-            quad, side = np.array(self.config.quad, np.float64).reshape(4, 2), self.descriptor.side_px
-            view = from_quad(camera, quad, self.config.quad_margin, (side, side))
-        self.size = camera.width, camera.height
-        self.samples, self.seen = view_taps(view, camera), view.seen
-
-
-@functools.partial(jax.jit, static_argnums=(0, 1))
-def _whole_image(size: tuple[int, int], view_size: tuple[int, int]) -> Taps:
-    fine = SUPERSAMPLE * view_size[0], SUPERSAMPLE * view_size[1]
-    sx, sy = size[0] / fine[1], size[1] / fine[0]
-    # Outermost samples lie half a sample inside the image's border, where a bilinear read would fade to black.
-    return taps(jnp.array([[sx, 0, (sx - 1) / 2], [0, sy, (sy - 1) / 2], [0, 0, 1]], jnp.float32), fine, size[::-1])
+            quad = np.array(self.config.quad, np.float64).reshape(4, 2)
+            self.size, (self.samples, self.seen) = size, quad_view(size, quad, self.config.quad_margin, side)
 
 
 _view = jax.jit(floor_view)

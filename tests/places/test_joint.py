@@ -5,8 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from ebjax.io.image_folder import list_images
 from ebjax.places import joint
-from ebjax.places.__main__ import Looker, PlacesConfig, list_images
+from ebjax.places.__main__ import Looker, PlacesConfig
 from ebjax.places.rootsift_vlad import look
 
 RNG = np.random.default_rng(8)

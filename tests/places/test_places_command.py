@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from ebjax.command import run
-from ebjax.places.__main__ import Looker, PlacesConfig, main, natural
+from ebjax.io.image_folder import natural
+from ebjax.places.__main__ import Looker, PlacesConfig, main
 from ebjax.places.descriptor import descriptor
 
 HEADER = ["query", "rank", "name", "direction", "distance"]
