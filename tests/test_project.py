@@ -16,7 +16,8 @@ from ebjax.config import dump_config, load_config
 ROOT = Path(__file__).parents[1]
 TOP = {"pyproject.toml", "ebjax", "notebooks", "tests", "configs", "README.md", "LICENSE"}
 CONFIGS = sorted((ROOT / "configs").rglob("*.yaml"))
-DISTRIBUTION = {"cv2": "opencv-python-headless", "yaml": "pyyaml"}  # where it is not the module's own name
+# Where it is not the module's own name:
+DISTRIBUTION = {"cv2": "opencv-python-headless", "faiss": "faiss-cpu", "yaml": "pyyaml"}
 
 
 def tracked() -> list[Path]:

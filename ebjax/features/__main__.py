@@ -11,19 +11,24 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
+import ebjax
 from ebjax.command import progress, run
 from ebjax.features.bench import bench
 from ebjax.features.equivariance import middle, stand_in, through_turn
-from ebjax.features.extractor import EXTRACTORS, extractor, usable
+from ebjax.features.extractor import EXTRACTORS, Extractor, extractor, usable
 from ebjax.features.pair import Comparison, PlaneView, checked_quad, metric_view, quad_view, raw_view
 from ebjax.features.record import FLOOR, RAW, TURNED, conventions, describe, matched_points, measure, summary
+from ebjax.features.remember import remembered
 from ebjax.features.table import Pair, as_json, compare_inputs, compare_pairs, markdown
 from ebjax.geometry.camera import Camera, FloorView
 from ebjax.io.atomic import whole_file, whole_folder
-from ebjax.io.camera_file import CameraFile, read_camera
-from ebjax.io.images import depth_share, read_depth, read_image
+from ebjax.io.cache import Cache, digest
+from ebjax.io.camera_file import read_camera
+from ebjax.io.images import read_both, read_depths, read_image
 from ebjax.io.pairs import read_pairs
+from ebjax.models.catalogue import MODELS
 from ebjax.models.d2net import OFFSETS
+from ebjax.models.locate import locate
 from ebjax.slam.view import choose_floor
 from ebjax.viz import figures
 
@@ -60,6 +65,8 @@ class Config:
     """Depth of B."""
     seed: int = 0
     """Of RANSAC."""
+    cache: Path | None = None
+    """Folder where the features of every view stay for the next run; None: nowhere."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +83,8 @@ class TableConfig:
     """Folder of the networks' weights; None: $EBJAX_WEIGHTS or ~/.cache/ebjax/weights."""
     seed: int = 0
     """Of RANSAC."""
+    cache: Path | None = None
+    """Folder where the features of every view stay for the next run; None: nowhere."""
 
 
 @dataclass(frozen=True)
@@ -134,7 +143,9 @@ def main(config: Config) -> None:
     image_a, image_b = read_both(config.a, config.b, size)
     height, width = image_a.shape[:2]
     quad = None if config.quad is None else checked_quad(config.quad, width, height)
-    depths = read_depths(config, camera_file)
+    depths = None
+    if config.depth_a is not None and config.depth_b is not None and camera_file is not None:
+        depths = read_depths(config.depth_a, config.depth_b, camera_file)
 
     camera = None
     if camera_file is not None:
@@ -146,7 +157,7 @@ def main(config: Config) -> None:
         extractors, absent = {config.extractor: extractor(config.extractor, config.weights)}, {}
     records, comparisons = [], []
     print(f"{'':10}" + "".join(f"{name:>16}" for name in (RAW, FLOOR, TURNED) if name == RAW or FLOOR in views))
-    for name, chosen in extractors.items():
+    for name, chosen in caching(config.cache, extractors, config.weights).items():
         row = f"{name:10}"
         how: dict[str, Any] = {"model": config.model, "tolerance": config.tolerance, "seed": config.seed}
         for kind, comparison, model in compare_inputs(chosen, views, image_a, image_b, **how):
@@ -175,34 +186,18 @@ def main(config: Config) -> None:
     write(config.out, result, comparisons[best], records[best], (image_a, image_b))
 
 
-def read_both(a: Path, b: Path, size: tuple[int, int] | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Reads two images of one (width, height), the camera's where it is given.
-
-    Raises:
-      ValueError: an unreadable file, or two sizes.
-    """
-    images = read_image(a, size), read_image(b, size)
-    if images[0].shape != images[1].shape:
-        sizes = [f"{image.shape[1]}x{image.shape[0]}" for image in images]
-        raise ValueError(f"{b}: {sizes[1]} pixels, but {a} has {sizes[0]}; give two images of one camera")
-    return images
-
-
-def read_depths(config: Config, camera_file: CameraFile | None) -> tuple[np.ndarray, np.ndarray] | None:
-    """Reads both depth images, if they were given.
-
-    Raises:
-      ValueError: an unreadable file, another size than the camera's, or no depth in it at all.
-    """
-    if config.depth_a is None or config.depth_b is None or camera_file is None:
-        return None
-    depths = []
-    for path in (config.depth_a, config.depth_b):
-        depth = read_depth(path, camera_file.depth_scale, (camera_file.width, camera_file.height))
-        if depth_share(depth) == 0:
-            raise ValueError(f"{path}: no pixel has depth; check the file and depth_scale, or leave the depth out")
-        depths.append(depth)
-    return depths[0], depths[1]
+def caching(folder: Path | None, found: dict[str, Extractor], weights: Path | None) -> dict[str, Extractor]:
+    """The extractors; with a folder, they look there first for a view that they know."""
+    if folder is None:
+        return found
+    kept = {}
+    for name, chosen in found.items():
+        file = locate(name, weights).read_bytes() if name in MODELS else b""
+        cache = Cache(folder, name, {"ebjax": ebjax.__version__, "weights": digest(file)}, shard_s=0)
+        for shard in cache.damaged:
+            print(f"{shard}: damaged; its views are described again", file=sys.stderr)
+        kept[name] = remembered(chosen, cache.remember)
+    return kept
 
 
 def make_views(
@@ -250,7 +245,7 @@ def table(config: TableConfig) -> None:
     found, absent = usable(config.extractors, config.weights)
     if not found:
         raise ValueError(next(iter(absent.values())))
-    shown = progress(found.items(), label="Comparing")
+    shown = progress(caching(config.cache, found, config.weights).items(), len(found), "Comparing")
     rows = {name: compare_pairs(chosen, pairs, seed=config.seed) for name, chosen in shown}
     lines = [*markdown(rows), "", *(f"Left out: {reason}" for reason in absent.values())]
     print("\n".join(lines))

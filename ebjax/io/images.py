@@ -10,6 +10,8 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from ebjax.io.camera_file import CameraFile
+
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 NO_DEPTH = 65535
 
@@ -117,3 +119,33 @@ def read_depth(path: str | Path, depth_scale: float, size: tuple[int, int] | Non
 def depth_share(depth_m: Float[np.ndarray, "H W"]) -> float:
     """Returns the share of pixels that have depth (finite and above zero), in [0, 1]."""
     return float(np.mean(np.isfinite(depth_m) & (depth_m > 0)))
+
+
+def read_both(
+    a: Path, b: Path, size: tuple[int, int] | None = None
+) -> tuple[UInt8[np.ndarray, "H W 3"], UInt8[np.ndarray, "H W 3"]]:
+    """Reads two images of one (width, height), the camera's where it is given.
+
+    Raises:
+      ValueError: an unreadable file, or two sizes.
+    """
+    images = read_image(a, size), read_image(b, size)
+    if images[0].shape != images[1].shape:
+        sizes = [f"{image.shape[1]}x{image.shape[0]}" for image in images]
+        raise ValueError(f"{b}: {sizes[1]} pixels, but {a} has {sizes[0]}; give two images of one camera")
+    return images
+
+
+def read_depths(a: Path, b: Path, camera: CameraFile) -> tuple[Float[np.ndarray, "H W"], Float[np.ndarray, "H W"]]:
+    """Reads two depth images of one camera.
+
+    Raises:
+      ValueError: an unreadable file, another size than the camera's, or no depth in it at all.
+    """
+    depths = []
+    for path in (a, b):
+        depth = read_depth(path, camera.depth_scale, (camera.width, camera.height))
+        if depth_share(depth) == 0:
+            raise ValueError(f"{path}: no pixel has depth; check the file and depth_scale, or leave the depth out")
+        depths.append(depth)
+    return depths[0], depths[1]

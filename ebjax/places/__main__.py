@@ -1,12 +1,9 @@
 """Finds images of the same floor among others, from either side."""
 
 import csv
-import json
 import math
-import re
 import sys
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -15,23 +12,24 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
+import ebjax
 from ebjax.command import dump_config, progress, run
-from ebjax.geometry.camera import Camera, camera_over_floor
-from ebjax.geometry.warp import Taps, taps
+from ebjax.geometry.camera import Camera
+from ebjax.geometry.warp import Taps
 from ebjax.io.atomic import whole_file
+from ebjax.io.cache import Cache, content_key, digest
 from ebjax.io.camera_file import read_camera
+from ebjax.io.image_folder import list_images, read_truth
 from ebjax.io.images import BrokenFrame, read_image
-from ebjax.io.text import read_text
-from ebjax.places.descriptor_map import MIN_SUPPORT, dense
+from ebjax.places.bench import CONTENDERS, bench
+from ebjax.places.descriptor import Descriptor, descriptor
 from ebjax.places.recall import recall_at
-from ebjax.places.search import SHORTLIST, search
-from ebjax.slam.describe import LUMA, SUPERSAMPLE, floor_view, view_taps
-from ebjax.slam.view import choose_floor, from_camera, from_quad
+from ebjax.places.search import SHORTLIST, check_ranking, search
+from ebjax.slam.describe import floor_view
+from ebjax.slam.look import camera_view, quad_view, whole_image
 
 Quad = tuple[float, float, float, float, float, float, float, float]
-SUFFIXES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm"}
 COLUMNS = ("query", "rank", "name", "direction", "distance")
-RAW_PX = 200
 
 
 @dataclass(frozen=True)
@@ -59,85 +57,57 @@ class PlacesConfig:
     """Of the floor view of --camera, m."""
     opposing: Literal["both", "only", "none"] = "both"
     """Look for places seen from the same and the opposite side, from the opposite side only, or from the same only."""
-    ranking: Literal["correlation", "cosine"] = "correlation"
-    """Shift-maximised correlation of maps, or the paper's cosine of global descriptors."""
+    descriptor: str = "rootsift-vlad"
+    """Global descriptor: rootsift-vlad, hog, joint (floor and whole image), or of a network netvlad, superpoint,
+    resnet50 or vgg19 (flattened map), resnet50-pooled, vgg19-pooled."""
+    weights: Path | None = None
+    """Of a network: its .safetensors file, or a folder of them; None: $EBJAX_WEIGHTS or ~/.cache/ebjax/weights."""
+    ranking: Literal["auto", "correlation", "cosine"] = "auto"
+    """The paper's cosine of global descriptors, or shift-maximised correlation of maps (rootsift-vlad only, and its
+    default)."""
     top: int = 20
     """Candidates written for each query."""
     truth: Path | None = None
     """JSON object: number of a query -> list of the numbers of accepted references, counted from 0 in natural order."""
     seed: int = 0
     """Of the vocabulary."""
-
-
-def natural(path: Path) -> tuple[list[tuple[int, str]], str]:
-    """A key that sorts img2 before img10."""
-    parts = re.split(r"(\d+)", path.name.lower())
-    return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts], path.name
-
-
-def list_images(folder: Path) -> list[Path]:
-    """The images of a folder in natural order.
-
-    Raises:
-      ValueError: no folder, or no image in it.
-    """
-    if not folder.is_dir():
-        raise ValueError(f"{folder}: not a folder; give a folder of images")
-    files = [file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES and file.is_file()]
-    if not files:
-        raise ValueError(f"{folder}: no images in it; give a folder of JPEG or PNG files")
-    return sorted(files, key=natural)
-
-
-def read_truth(path: Path, queries: int, references: int) -> dict[int, list[int]]:
-    """Reads which references are accepted for each query.
-
-    Raises:
-      ValueError: not such a JSON object, or a number beyond the images; names file and key.
-    """
-    try:
-        values = json.loads(read_text(path))
-    except json.JSONDecodeError as error:
-        raise ValueError(f"{path} line {error.lineno}: not JSON ({error.msg}); correct the file") from None
-    if not isinstance(values, dict):
-        raise ValueError(f"{path}: not a JSON object; write {{query number: [reference numbers]}}")
-    truth = {}
-    for key, row in values.items():
-        if not key.isdecimal() or int(key) >= queries:
-            raise ValueError(f"{path}: key {key!r} is not the number of a query, 0 to {queries - 1}; correct it")
-        if not isinstance(row, list) or not all(type(n) is int and 0 <= n < references for n in row):
-            raise ValueError(
-                f"{path}: key {key!r} is not a list of reference numbers, 0 to {references - 1}; correct it"
-            )
-        truth[int(key)] = row
-    return truth
+    cache: Path | None = None
+    """Folder where what is kept of every image stays for the next run; None: nowhere."""
 
 
 class Looker:
-    """Turns images into dense place maps of their floor views; fixed by the first readable image's size."""
+    """Turns images into what a descriptor keeps of their floor views; fixed by the first readable image's size."""
 
-    def __init__(self, config: PlacesConfig):
+    def __init__(self, config: PlacesConfig, chosen: Descriptor):
         """Raises ValueError unless exactly one way to look at the floor is given."""
         ways = (config.camera is not None) + (config.quad is not None) + config.raw
         if ways != 1:
             raise ValueError(f"{ways} of --camera, --quad and --raw are given; give one")
-        self.config = config
+        self.config, self.descriptor = config, chosen
+        self._look = jax.jit(chosen.look) if chosen.jitted else chosen.look
         self.file = read_camera(config.camera, depth=False) if config.camera is not None else None
         self.size = (self.file.width, self.file.height) if self.file else None
+        self.cache: Cache | None = None
         self.samples: Taps | None = None
-        self.seen = jnp.zeros((0, 0))
+        self.seen = jnp.zeros((0, 0), bool)
 
-    def look(self, path: Path) -> np.ndarray:
-        """The dense map of an image's view, float16.
+    def look(self, path: Path) -> dict[str, np.ndarray]:
+        """What is kept of an image's view.
 
         Raises:
           BrokenFrame: the image cannot be read.
           ValueError: it has another size than the camera or the first image.
         """
+        if self.samples is None:
+            height, width, _ = read_image(path).shape
+            self._prepare((width, height))
+        if self.cache is None:
+            return self._describe(path)
+        return dict(self.cache.recall(content_key(path), lambda: self._describe(path)))
+
+    def _describe(self, path: Path) -> dict[str, np.ndarray]:
         image = read_image(path)
         size = image.shape[1], image.shape[0]
-        if self.samples is None:
-            self._prepare(size)
         if size != self.size and not self.config.raw:
             source = self.config.camera or "the first image"
             assert self.size is not None
@@ -145,108 +115,107 @@ class Looker:
                 f"{path}: {size[0]}x{size[1]} pixels, but {source} says {self.size[0]}x{self.size[1]}; "
                 "give images of one camera at its full size"
             )
-        samples = self.samples if size == self.size else _whole_image(size, self.seen.shape)
-        return np.asarray(_dense_view(image, samples, self.seen))
+        samples = self.samples if size == self.size else whole_image(size, self.seen.shape)
+        view = _view(image, samples)
+        return jax.tree.map(np.asarray, dict(self._look(view, self.seen, image)))
 
     def _prepare(self, size: tuple[int, int]) -> None:
+        self._choose_view(size)
+        if self.config.cache is not None:
+            assert self.samples is not None
+            arrays = (np.asarray(leaf) for leaf in (*jax.tree.leaves(self.samples), self.seen))
+            weights = self.descriptor.weights
+            settings = {
+                "ebjax": ebjax.__version__,
+                "weights": None if weights is None else digest(weights.read_bytes()),
+                "view": digest(*arrays),
+                "side_px": self.descriptor.side_px,
+            }
+            self.cache = Cache(self.config.cache, self.config.descriptor, settings)
+            for shard in self.cache.damaged:
+                print(f"{shard}: damaged; its images are described again", file=sys.stderr)
+
+    def _choose_view(self, size: tuple[int, int]) -> None:
+        side = self.descriptor.side_px
         if self.config.raw:
-            scale = RAW_PX / max(size)
-            view_size = round(size[1] * scale), round(size[0] * scale)
-            self.size, self.seen = size, jnp.ones(view_size, jnp.float32)
-            self.samples = _whole_image(size, view_size)
-            return
-        if self.file is not None:
-            camera = Camera(
-                jnp.asarray(self.file.intrinsics),
-                jnp.asarray(self.file.base_from_camera),
-                self.file.width,
-                self.file.height,
-            )
+            scale = side / max(size)
+            self.seen = jnp.ones((round(size[1] * scale), round(size[0] * scale)), bool)
+            self.size, self.samples = size, whole_image(size, self.seen.shape)
+        elif self.file is not None:
+            self.size = self.file.width, self.file.height
+            camera = Camera(jnp.asarray(self.file.intrinsics), jnp.asarray(self.file.base_from_camera), *self.size)
             try:
-                view = from_camera(camera, choose_floor(camera, self.config.metres_per_px))
+                self.samples, self.seen = camera_view(camera, self.config.metres_per_px)
             except ValueError as fault:
                 raise ValueError(f"{self.config.camera}: {fault}") from None
         else:
-            # The quad alone fixes the view; only its place on the floor in metres, unused here, needs a camera.
-            camera = camera_over_floor(500.0, 500.0, 0.0, 0.0, *size, 1.0, 0.5)
-            view = from_quad(camera, np.array(self.config.quad, np.float64).reshape(4, 2), self.config.quad_margin)
-        self.size = camera.width, camera.height
-        self.samples, self.seen = view_taps(view, camera), view.seen.astype(jnp.float32)
+            quad = np.array(self.config.quad, np.float64).reshape(4, 2)
+            self.size, (self.samples, self.seen) = size, quad_view(size, quad, self.config.quad_margin, side)
 
 
-@partial(jax.jit, static_argnums=(0, 1))
-def _whole_image(size: tuple[int, int], view_size: tuple[int, int]) -> Taps:
-    fine = SUPERSAMPLE * view_size[0], SUPERSAMPLE * view_size[1]
-    sx, sy = size[0] / fine[1], size[1] / fine[0]
-    # Outermost samples lie half a sample inside the image's border, where a bilinear read would fade to black.
-    return taps(jnp.array([[sx, 0, (sx - 1) / 2], [0, sy, (sy - 1) / 2], [0, 0, 1]], jnp.float32), fine, size[::-1])
+_view = jax.jit(floor_view)
 
 
-@jax.jit
-def _dense_view(image, samples: Taps, seen):
-    grey = floor_view(image, samples) @ jnp.asarray(LUMA, jnp.float32)
-    return dense(grey, seen)[0].astype(jnp.float16)
+def _stack(kept: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """Views as rows of one array a name."""
+    return {name: np.stack([one[name] for one in kept]) for name in kept[0]}
 
 
-@jax.jit
-def _support(seen):
-    return dense(jnp.zeros_like(seen), seen)[1]
-
-
-def look_at_all(paths: list[Path], looker: Looker, label: str) -> tuple[np.ndarray, list[int], list[str]]:
-    """Dense maps of the readable images, their numbers, and what is wrong with the others.
+def look_at_all(
+    paths: list[Path], looker: Looker, label: str
+) -> tuple[list[dict[str, np.ndarray]], list[int], list[str]]:
+    """What is kept of the readable images, their numbers, and what is wrong with the others.
 
     Raises:
       ValueError: none is readable.
     """
-    maps, numbers, broken = [], [], []
-    for number, path in enumerate(progress(paths, len(paths), label)):
-        try:
-            maps.append(looker.look(path))
-        except BrokenFrame as fault:
-            broken.append(" ".join(str(fault).split()))
-            continue
-        numbers.append(number)
-    if not maps:
+    kept, numbers, broken = [], [], []
+    try:
+        for number, path in enumerate(progress(paths, len(paths), label)):
+            try:
+                kept.append(looker.look(path))
+            except BrokenFrame as fault:
+                broken.append(" ".join(str(fault).split()))
+                continue
+            numbers.append(number)
+    finally:
+        if looker.cache is not None:
+            looker.cache.flush()
+    if not kept:
         raise ValueError(f"{paths[0].parent}: none of {len(paths)} images can be read ({broken[0]})")
-    return np.stack(maps), numbers, broken
+    return kept, numbers, broken
 
 
 def main(config: PlacesConfig) -> None:
     """Reads, ranks, writes ranked.csv and prints R@1 and R@5 if the truth is given."""
     if config.top < 1:
         raise ValueError(f"--top is {config.top}; give a number of candidates, 1 or more")
-    looker = Looker(config)
+    if config.raw and config.descriptor == "joint":
+        raise ValueError("--descriptor joint needs a floor beside the whole image: give --camera or --quad, not --raw")
+    chosen = descriptor(config.descriptor, config.weights)
+    check_ranking(config.ranking, chosen.has_maps)
+    looker = Looker(config, chosen)
     names = [list_images(config.database)]
     same_folder = config.database.resolve() == config.queries.resolve()
     names.append(names[0] if same_folder else list_images(config.queries))
     truth = read_truth(config.truth, len(names[1]), len(names[0])) if config.truth is not None else None
-    references, numbers, broken = look_at_all(names[0], looker, "database")
-    maps, asked = references, numbers
+    kept, numbers, broken = look_at_all(names[0], looker, "database")
+    asked = numbers
     if not same_folder:
         ours, asked, more = look_at_all(names[1], looker, "queries")
-        maps, broken = np.concatenate([references, ours]), broken + more
+        kept, broken = kept + ours, broken + more
     for fault in broken:
         print(f"skipped: {fault}", file=sys.stderr)
 
-    rows = np.arange(len(maps) - len(asked), len(maps))
-    allowed = np.zeros((len(rows), len(maps), 2), bool)
-    allowed[:, : len(references)] = np.array([config.opposing != "only", config.opposing != "none"])[None, None, :]
+    rows = np.arange(len(kept) - len(asked), len(kept))
+    allowed = np.zeros((len(rows), len(kept), 2), bool)
+    allowed[:, : len(numbers)] = np.array([config.opposing != "only", config.opposing != "none"])[None, None, :]
     if same_folder:
         allowed[np.arange(len(rows)), rows] = False
-    found = jax.tree.map(
-        np.asarray,
-        search(
-            maps,
-            _support(looker.seen),
-            jnp.asarray(allowed),
-            ranking=config.ranking,
-            min_support=MIN_SUPPORT,
-            seed=config.seed,
-            queries=rows,
-            top=max(SHORTLIST, config.top),
-        ),
-    )
+    places = chosen.unite(_stack(kept), seed=config.seed)
+    top = max(SHORTLIST, config.top)
+    found = search(places, jnp.asarray(allowed), ranking=config.ranking, queries=rows, top=top)
+    found = jax.tree.map(np.asarray, found)
     ranked: list[list[int]] = [[] for _ in names[1]]
     with whole_file(config.out / "ranked.csv") as file:
         table = csv.writer(file, lineterminator="\n")
@@ -267,5 +236,37 @@ def main(config: PlacesConfig) -> None:
         print(f"{shown}  of {recalls[0][2]} queries with an accepted reference (skipped ones count as not found)")
 
 
+@dataclass(frozen=True)
+class BenchConfig:
+    """Times the exhaustive search for the nearest descriptors against faiss and NumPy, turn by turn in one run."""
+
+    length: int = 4096
+    """Of a descriptor."""
+    top: int = 20
+    """Descriptors that are looked for."""
+    sizes: tuple[tuple[int, int], ...] = ((4096, 4096), (100_000, 100), (100_000, 1))
+    """References and queries of each line."""
+    turns: int = 5
+    """How often everyone searches; the median counts."""
+    seed: int = 0
+    """Of the descriptors."""
+
+
+def show_bench(config: BenchConfig) -> None:
+    """Prints a table: ms, and whether all found the same."""
+    if min(config.length, config.top, config.turns, *(n for size in config.sizes for n in size)) < 1:
+        raise ValueError("--length, --top, --sizes and --turns must be at least 1")
+    print(f"{'references':>10} {'queries':>8} {'ebjax':>9} {'faiss':>9} {'NumPy':>9}   ms; same answers")
+    for references, queries in config.sizes:
+        row = bench(references, queries, config.length, config.top, config.turns, config.seed)
+        times = "".join(f"{row.ms[name]:10.1f}" if name in row.ms else f"{'-':>10}" for name in CONTENDERS)
+        print(f"{references:10} {queries:8}{times}   {row.same:.4%}", flush=True)
+    if "faiss" not in row.ms:
+        print('faiss is not installed: pip install "ebjax[oracle]"')
+
+
 if __name__ == "__main__":
-    run(main, PlacesConfig)
+    if sys.argv[1:2] == ["bench"]:
+        run(show_bench, BenchConfig, sys.argv[2:])
+    else:
+        run(main, PlacesConfig)

@@ -45,3 +45,9 @@ def vlad(
     residual = residual / jnp.sqrt(jnp.sum(residual**2, 1, keepdims=True) + tiny)
     flat = residual.reshape(-1)
     return flat / jnp.sqrt(jnp.sum(flat**2) + tiny)
+
+
+def centred(vectors: Float[Array, "N V 2"]) -> Float[Array, "N V 2"]:
+    """Unit vectors without the mean over the run, in each orientation by itself: without what all places share."""
+    vectors = vectors - jnp.mean(vectors, axis=0, keepdims=True)
+    return vectors / jnp.maximum(jnp.linalg.norm(vectors, axis=1, keepdims=True), 1e-9)

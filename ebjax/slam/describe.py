@@ -2,20 +2,22 @@
 
 import dataclasses
 import typing
+from collections.abc import Mapping
 from functools import partial
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, UInt8
 
-from ebjax.features.extractor import LUMA, Extractor
+from ebjax.features.extractor import Extractor
 from ebjax.features.matching import Features
 from ebjax.features.measure import lift
 from ebjax.features.upright import ROOTSIFT
 from ebjax.geometry.camera import Camera, backproject
 from ebjax.geometry.homography import apply
 from ebjax.geometry.warp import Taps, gather, taps
-from ebjax.places.descriptor_map import MIN_SUPPORT, dense
+from ebjax.places.descriptor import Descriptor
+from ebjax.places.rootsift_vlad import ROOTSIFT_VLAD
 from ebjax.slam.view import RunView
 
 SUPERSAMPLE = 2
@@ -40,12 +42,11 @@ class Landmarks:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Described:
-    """One frame, or with a leading axis many: the floor view, its dense place map, its landmarks."""
+    """One frame, or with a leading axis many: the floor view, what tells its place, its landmarks."""
 
     view: UInt8[Array, "*n h w 3"]  # RGB
     floor: Bool[Array, "*n h w"]  # seen, and nothing stands there as far as depth knows
-    place_map: Float[Array, "*n r c D"]
-    cells: Bool[Array, "*n r c"]  # of the place map: those that show floor
+    place: Mapping[str, Array]  # what the global descriptor keeps of it
     landmarks: Landmarks
     turned: Landmarks | None  # of the view turned by pi, where the extractor has to look again
 
@@ -85,7 +86,7 @@ def floor_view(rgb: UInt8[Array, "H W 3"], samples: Taps) -> Float[Array, "h w 3
     return sum(fine[r::SUPERSAMPLE, c::SUPERSAMPLE] for r in rows for c in columns) / SUPERSAMPLE**2
 
 
-@partial(jax.jit, static_argnames="extractor")
+@partial(jax.jit, static_argnames=("extractor", "descriptor"))
 def describe(
     rgb: UInt8[Array, "H W 3"],
     depth_m: Float[Array, "H W"],
@@ -94,6 +95,7 @@ def describe(
     camera: Camera,
     *,
     extractor: Extractor = ROOTSIFT,
+    descriptor: Descriptor = ROOTSIFT_VLAD,
 ) -> Described:
     """Describes a frame.
 
@@ -104,17 +106,15 @@ def describe(
       view: the run's floor view.
       camera: of the run.
       extractor: a jitted one; `describe_host` takes any.
+      descriptor: of one that is not jitted nothing is kept here; `describe_host` takes any.
     """
     colours = floor_view(rgb, samples)
-    grey = colours @ jnp.asarray(LUMA, colours.dtype)
     floor = clear_floor(depth_m.astype(view.image_from_view.dtype), view, camera)
-    place_map, support = dense(grey, floor.astype(grey.dtype))
     features = extractor.extract(colours, view.seen)
     return Described(
         jnp.round(colours * 255).astype(jnp.uint8),
         floor,
-        place_map.astype(jnp.float16),
-        support > MIN_SUPPORT,
+        descriptor.look(colours, floor, rgb) if descriptor.jitted else {},
         _located(features, floor, depth_m, view, camera),
         None,
     )
@@ -133,11 +133,23 @@ def _located(features: Features, floor, depth_m, view: RunView, camera: Camera) 
 _located_jit = jax.jit(_located)
 
 
-def describe_host(rgb, depth_m, samples: Taps, view: RunView, camera: Camera, extractor: Extractor) -> Described:
-    """`describe`, for extractors that are called from the host too."""
+def describe_host(
+    rgb,
+    depth_m,
+    samples: Taps,
+    view: RunView,
+    camera: Camera,
+    extractor: Extractor,
+    descriptor: Descriptor = ROOTSIFT_VLAD,
+) -> Described:
+    """`describe`, for extractors and descriptors that are called from the host too."""
+    jitted = extractor if extractor.jitted else ROOTSIFT
+    result = describe(rgb, depth_m, samples, view, camera, extractor=jitted, descriptor=descriptor)
+    if not descriptor.jitted:
+        colours = result.view.astype(jnp.float32) / 255
+        result = dataclasses.replace(result, place=descriptor.look(colours, result.floor, rgb))
     if extractor.jitted:
-        return describe(rgb, depth_m, samples, view, camera, extractor=extractor)
-    result = describe(rgb, depth_m, samples, view, camera)
+        return result
     colours, depth_m = result.view.astype(jnp.float32) / 255, jnp.asarray(depth_m)
 
     def located(features: Features) -> Landmarks:

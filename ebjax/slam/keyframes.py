@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 
 from ebjax.features.extractor import Extractor
 from ebjax.geometry.camera import Camera
+from ebjax.places.descriptor import Descriptor
 from ebjax.slam.describe import Described, describe_host, view_taps
 from ebjax.slam.view import RunView
 
@@ -25,6 +26,7 @@ def describe_keyframes(
     camera: Camera,
     view: RunView,
     extractor: Extractor,
+    descriptor: Descriptor,
     progress: Progress,
 ) -> tuple[Int[np.ndarray, " N"], Described]:
     """Describes the frames that can be read: their numbers, and everything about them stacked.
@@ -41,7 +43,7 @@ def describe_keyframes(
             if images is None:
                 continue
             rgb, depth = images
-            one = describe_host(rgb, blank if depth is None else depth, samples, view, camera, extractor)
+            one = describe_host(rgb, blank if depth is None else depth, samples, view, camera, extractor, descriptor)
             rows.append(jax.tree.map(np.asarray, one))
             keyframes.append(frame)
     if len(rows) < 2:

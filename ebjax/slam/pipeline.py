@@ -19,9 +19,9 @@ from ebjax.features.extractor import Extractor, extractor
 from ebjax.features.measure import LoopMeasurement, measure_depth, measure_floor
 from ebjax.features.verify import Verified, verify
 from ebjax.geometry.camera import Camera
-from ebjax.places.descriptor_map import MIN_SUPPORT, dense
+from ebjax.places.descriptor import descriptor
 from ebjax.places.retrieve import LoopCandidates, comparable
-from ebjax.places.search import search
+from ebjax.places.search import check_ranking, search
 from ebjax.posegraph.graph import PoseGraph, make_graph
 from ebjax.posegraph.levenberg import Solution
 from ebjax.posegraph.lm import solve
@@ -38,8 +38,12 @@ PAIRS_A_CALL = 64
 class PipelineConfig:
     """How loops are searched, verified and used."""
 
-    ranking: Literal["correlation", "cosine"] = "correlation"
-    """Ranking of candidates: shift-maximised correlation of floor maps, or the paper's cosine of global descriptors."""
+    descriptor: str = "rootsift-vlad"
+    """Global descriptor: rootsift-vlad, hog, joint (floor and whole image), or of a network netvlad, superpoint,
+    resnet50 or vgg19 (flattened map), resnet50-pooled, vgg19-pooled."""
+    ranking: Literal["auto", "correlation", "cosine"] = "auto"
+    """Ranking of candidates: the paper's cosine of global descriptors, or shift-maximised correlation of floor maps
+    (rootsift-vlad only, and its default)."""
     extractor: str = "rootsift"
     """Local features: rootsift (upright, on corners), sift, orb, surf, or a network: superpoint, d2net, alike."""
     weights: Path | None = None
@@ -131,9 +135,10 @@ def run(
         seconds[name] = time.perf_counter() - start
 
     start = time.perf_counter()
-    chosen = extractor(config.extractor, config.weights)
+    chosen, place = extractor(config.extractor, config.weights), descriptor(config.descriptor, config.weights)
+    check_ranking(config.ranking, place.has_maps)
     frames = moved_enough(odom_from_base, config.keyframe_m, config.keyframe_deg)
-    keyframes, described = describe_keyframes(load, frames, camera, view, chosen, progress)
+    keyframes, described = describe_keyframes(load, frames, camera, view, chosen, place, progress)
     stage("describe", start)
 
     start = time.perf_counter()
@@ -141,19 +146,8 @@ def run(
     allowed = comparable(
         jnp.asarray(timestamps[keyframes]), jnp.asarray(travelled[keyframes]), config.min_gap_s, config.min_gap_m
     )
-    _, support = jax.jit(dense)(jnp.zeros(view.size, jnp.float32), view.seen.astype(jnp.float32))
-    ranked = jax.tree.map(
-        np.asarray,
-        search(
-            np.asarray(described.place_map),
-            support,
-            allowed,
-            ranking=config.ranking,
-            min_support=MIN_SUPPORT,
-            seed=config.seed,
-            cells=np.asarray(described.cells),
-        ),
-    )
+    places = place.unite(described.place, seed=config.seed)
+    ranked = jax.tree.map(np.asarray, search(places, allowed, ranking=config.ranking))
     stage("search", start)
 
     start = time.perf_counter()

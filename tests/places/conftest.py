@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
+from ebjax.models.catalogue import MODELS, resolve
+from ebjax.models.seeded import seeded_state
+from ebjax.models.weights import save_weights
 from ebjax.places.descriptor_map import dense, learn_space
+
+STATE = {"netvlad": "netvlad_mat"}
 
 
 def texture(shape, seed=0, sigma=1.5):
@@ -37,3 +42,18 @@ def space(maps):
     mask = np.ones(maps.shape[1:3], bool)
     mask[:2, :3] = mask[:2, -4:] = mask[-1] = False
     return learn_space(maps, mask, 16)
+
+
+@pytest.fixture(scope="session")
+def weights(tmp_path_factory):
+    """Name -> a folder with stand-in weights of that network, made when it is asked for."""
+    folder = tmp_path_factory.mktemp("weights")
+
+    def of(name):
+        file = folder / f"{name}.safetensors"
+        if name in MODELS and not file.exists():
+            state = seeded_state(STATE.get(name, name), 2, head=name != "vgg19")
+            save_weights(file, name, resolve(MODELS[name].convert)(state))
+        return folder
+
+    return of

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from ebjax.command import run
-from ebjax.places.__main__ import PlacesConfig, main, natural
+from ebjax.io.image_folder import natural
+from ebjax.places.__main__ import Looker, PlacesConfig, main
+from ebjax.places.descriptor import descriptor
 
 HEADER = ["query", "rank", "name", "direction", "distance"]
 
@@ -96,12 +98,45 @@ def test_four_points_and_a_camera_fix_the_view(folders, tmp_path):
     assert [row[2] for row in rows if row[1] == "1"] == [f"img{2 * k}.png" for k in range(5)]
 
 
+def test_the_cache_changes_nothing_and_a_damaged_one_is_rebuilt(folders, tmp_path, capsys, monkeypatch):
+    flags = ("--raw", "--descriptor", "hog", "--cache", tmp_path / "cache")
+    plain = ranked(folders, tmp_path / "plain", *flags[:3])
+    assert ranked(folders, tmp_path / "first", *flags) == plain
+    before = {path: path.read_bytes() for path in (tmp_path / "cache").glob("hog-*/*.h5")}
+    assert len(before) == 2, "one of each folder"
+    shard, content = max(before.items(), key=lambda item: len(item[1]))
+    monkeypatch.setattr(Looker, "_describe", None)  # of whole images nothing is left to describe
+    whole = [path for path in (folders / "database").iterdir() if path.name != "img9.png"]
+    looker = Looker(
+        PlacesConfig(folders / "database", folders / "queries", raw=True, cache=tmp_path / "cache", descriptor="hog"),
+        descriptor("hog"),
+    )
+    assert len([looker.look(path) for path in whole]) == 10
+    monkeypatch.undo()
+    capsys.readouterr()
+    shard.write_bytes(content[: len(content) // 3])
+    assert ranked(folders, tmp_path / "again", *flags) == plain
+    assert f"{shard.name}: damaged" in capsys.readouterr().err
+    assert {path: path.read_bytes() for path in (tmp_path / "cache").glob("hog-*/*.h5")} == before
+
+
+@pytest.mark.parametrize("name", ["hog", "joint"])
+def test_other_descriptors_find_images_from_both_sides(folders, tmp_path, name):
+    quad = ("--quad", *(20, 15, 75, 15, 75, 55, 20, 55))
+    rows = ranked(folders, tmp_path, *quad, "--descriptor", name)
+    assert [row[2] for row in rows if row[1] == "1"] == [f"img{2 * k}.png" for k in range(5)]
+
+
 @pytest.mark.parametrize(
     "change, message",
     [
         ((), "0 of --camera, --quad and --raw are given"),
         (("--raw", "--quad", *range(8)), "2 of --camera, --quad and --raw are given"),
         (("--raw", "--top", 0), "--top is 0"),
+        (("--raw", "--descriptor", "joint"), "--descriptor joint needs a floor"),
+        (("--raw", "--descriptor", "gist"), "descriptor 'gist' is unknown"),
+        (("--raw", "--descriptor", "hog", "--ranking", "correlation"), "no maps to correlate"),
+        (("--raw", "--descriptor", "vgg19", "--weights", "OUT"), "python -m ebjax.models convert vgg19"),
         (("--raw", "--truth", "TRUTH"), "truth.json: key '9' is not the number of a query"),
         (("--camera", "CAMERA"), "camera.json says 640x480"),
     ],
@@ -111,7 +146,7 @@ def test_bad_input_is_one_line(folders, tmp_path, capsys, change, message):
     camera = dict(fx=300, fy=300, cx=320, cy=240, width=640, height=480, T_base_camera=down)
     (tmp_path / "camera.json").write_text(json.dumps(camera))
     (tmp_path / "truth.json").write_text('{"9": [0]}')
-    paths = {"TRUTH": tmp_path / "truth.json", "CAMERA": tmp_path / "camera.json"}
+    paths = {"TRUTH": tmp_path / "truth.json", "CAMERA": tmp_path / "camera.json", "OUT": tmp_path}
     out = tmp_path / "out"
     arguments = [paths.get(a, a) for a in change]
     assert command(folders / "database", folders / "queries", "--out", out, *arguments) == 2

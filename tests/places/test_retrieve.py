@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from ebjax.places.retrieve import comparable, cosine_top_k, merge, shortlist
 
@@ -36,6 +37,19 @@ def test_cosine_top_k_is_a_sorted_product():
     np.testing.assert_array_equal(index[valid], order[valid])
     assert best.dtype == np.float32 and index.dtype == np.int32
     assert (index < np.arange(30)[:, None])[valid].all()
+
+
+@pytest.mark.parametrize("queries, references", [(1, 3000), (2, 500), (40, 600)])
+def test_the_best_twenty_are_exactly_those_of_float64(queries, references):
+    ours, theirs = (RNG.standard_normal((n, 512)) for n in (queries, references))
+    ours, theirs = (x / np.linalg.norm(x, axis=1, keepdims=True) for x in (ours, theirs))
+    best, index = (np.asarray(a) for a in cosine_top_k(*(jnp.asarray(x, jnp.float32) for x in (ours, theirs)), k=20))
+    scores = ours.astype(np.float32).astype(np.float64) @ theirs.astype(np.float32).astype(np.float64).T
+    expected = -np.sort(-scores, axis=1)[:, :20]
+    # Neighbours closer than float32's rounding may change places; nothing better is ever left out.
+    np.testing.assert_allclose(np.take_along_axis(scores, index, 1), expected, atol=3e-7)
+    np.testing.assert_allclose(best, expected, atol=3e-7)
+    assert all(len(set(row)) == 20 for row in index)
 
 
 def test_of_equal_scores_the_earlier_view_comes_first():

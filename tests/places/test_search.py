@@ -1,14 +1,17 @@
 """The whole search on an out-and-back-and-out run over a random floor: places found from both sides."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from ebjax.places.descriptor_map import STRIDE_PX, dense
+from ebjax.places.descriptor_map import MIN_SUPPORT, STRIDE_PX, dense
 from ebjax.places.recall import facing_pairs, precision_100, recall_at_1
 from ebjax.places.retrieve import comparable
-from ebjax.places.search import search, window
+from ebjax.places.rootsift_vlad import unite
+from ebjax.places.search import search
 
 SIZE, STEP, STATIONS = 96, 24, 12
 METRES_PER_PX = 0.01
@@ -34,12 +37,14 @@ def run(floor_texture, dense_all):
     maps, support = dense_all(np.stack(views), jnp.asarray(seen)), dense(jnp.zeros_like(seen), jnp.asarray(seen))[1]
     poses, steps = np.array(poses), np.arange(len(views), dtype=float)
     allowed = comparable(jnp.asarray(steps), jnp.asarray(steps * STEP * METRES_PER_PX), 2.0, 1.0)
-    return np.asarray(maps.astype(jnp.float16)), support, allowed, poses
+    cells = np.broadcast_to(np.asarray(support) > MIN_SUPPORT, maps.shape[:3])
+    kept = {"map": np.asarray(maps.astype(jnp.float16)), "cells": cells}
+    return kept, unite(kept), allowed, poses
 
 
 def found_by(run, ranking):
-    maps, support, allowed, _ = run
-    return jax.tree.map(np.asarray, search(maps, support, allowed, ranking=ranking, min_support=0.8))
+    _, places, allowed, _ = run
+    return jax.tree.map(np.asarray, search(places, allowed, ranking=ranking))
 
 
 @pytest.mark.parametrize("ranking", ["correlation", "cosine"])
@@ -67,8 +72,8 @@ def test_every_place_is_found_from_the_other_side_and_again_from_the_same(run, r
 @pytest.mark.parametrize("ranking", ["correlation", "cosine"])
 def test_candidates_are_allowed_ranked_and_unique(run, ranking):
     found = found_by(run, ranking)
-    maps, _, allowed, _ = run
-    rows = np.arange(len(maps))[:, None]
+    _, places, allowed, _ = run
+    rows = np.arange(len(places.vectors))[:, None]
     assert (found.i == rows).all() and found.j.dtype == np.int32 and found.distance.dtype == np.float32
     assert np.asarray(allowed)[rows, found.j, found.opposing.astype(int)][found.valid].all()
     np.testing.assert_array_equal(found.valid.sum(1), np.minimum(np.asarray(allowed).sum(1), 20).sum(1))
@@ -89,9 +94,9 @@ def test_shift_measures_the_loop(run):
 
 
 def test_chosen_queries_get_the_same_answers(run):
-    maps, support, allowed, _ = run
+    _, places, allowed, _ = run
     queries = np.array([30, 17])
-    rows = search(maps, support, allowed[queries], queries=queries, min_support=0.8)
+    rows = search(places, allowed[queries], queries=queries)
     everything = found_by(run, "correlation")
     np.testing.assert_array_equal(rows.i[:, 0], queries)
     for row, query in enumerate(queries):
@@ -107,27 +112,16 @@ def test_a_second_search_compiles_nothing(run, caplog):
     assert not [record.message for record in caplog.records if "Compiling" in record.message]
 
 
-def test_the_border_without_support_changes_nothing(run):
-    maps, support, allowed, _ = run
-    inner = np.zeros(support.shape, bool)
-    inner[2:-2, 3:-3] = True
-    rows, columns = window(inner)
-    assert (rows, columns) == (slice(2, -2 % len(inner)), slice(3, -3 % inner.shape[1]))
-    whole = search(maps, jnp.asarray(inner, jnp.float32), allowed, min_support=0.5)
-    part = search(maps[:, rows, columns], jnp.asarray(inner[rows, columns], jnp.float32), allowed, min_support=0.5)
-    np.testing.assert_array_equal(whole.j, part.j)
-    np.testing.assert_array_equal(whole.shift, part.shift)
-
-
-def test_window_stays_symmetric():
-    mask = np.zeros((6, 7), bool)
-    mask[1, 3] = True
-    assert window(mask) == (slice(1, 5), slice(3, 4))
+def test_vectors_alone_are_ranked_by_cosine(run):
+    _, places, allowed, _ = run
+    bare = dataclasses.replace(places, maps=None, space=None)
+    found = search(bare, allowed)
+    np.testing.assert_array_equal(found.j, found_by(run, "cosine").j)
+    with pytest.raises(ValueError, match="no maps to correlate"):
+        search(bare, allowed, ranking="correlation")
 
 
 def test_bad_input_says_what_to_do(run):
-    maps, support, allowed, _ = run
-    with pytest.raises(ValueError, match="choose correlation or cosine"):
-        search(maps, support, allowed, ranking="best", min_support=0.8)
-    with pytest.raises(ValueError, match="look at more floor"):
-        search(maps, support, allowed, min_support=2.0)
+    _, places, allowed, _ = run
+    with pytest.raises(ValueError, match="choose auto, correlation, cosine"):
+        search(places, allowed, ranking="best")

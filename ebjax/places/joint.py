@@ -1,0 +1,72 @@
+"""Floor and whole image in one vector, for carpets and other floors that say little (future work in Early Bird).
+
+Both are described as by `rootsift_vlad`, each with its own components and words, and joined as (sqrt(a) floor,
+sqrt(1 - a) whole), so that the cosine of two views is a times that of their floors plus 1 - a times that of their
+images. The share a is learned from the run: a part counts by how far the best match of a view stands out from the
+others beyond what chance would give (`distinctness`), so one that tells nothing gets next to nothing.
+From the opposite side only the floor is the same: of a view turned by pi the whole image has no part.
+"""
+
+import math
+from collections.abc import Mapping
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Bool, Float, UInt8
+
+import ebjax.places.rootsift_vlad as rootsift_vlad
+from ebjax.places.descriptor import Descriptor, Places
+from ebjax.places.view import resized
+
+SIDE_PX = 200
+SAMPLE_VIEWS = 512
+
+
+def look(view: Float[Array, "H W 3"], seen: Bool[Array, "H W"], image: UInt8[ArrayLike, "I J 3"]) -> dict[str, Array]:
+    """The dense maps of both."""
+    whole = resized(jnp.asarray(image, view.dtype) / 255, SIDE_PX)
+    parts = {"floor": (view, seen), "whole": (whole, jnp.ones(whole.shape[:2], bool))}
+    found = {part: rootsift_vlad.look(*looked, image) for part, looked in parts.items()}
+    return {f"{part}_{name}": array for part, arrays in found.items() for name, array in arrays.items()}
+
+
+def distinctness(vectors: Float[Array, "N V"]) -> float:
+    """How well the cosines s_ij of a run's views tell matches from others, the weight of Fisher's discriminant.
+
+        (mean_i max_j s_ij - chance) / var s_ij,    j != i,    at least 0
+
+    chance is the mean plus one standard deviation of max_j s_ij among random views, drawn from a normal law with the
+    run's own covariance: where a run has few degrees of freedom, its views resemble each other by chance.
+    """
+    rows = np.unique(np.linspace(0, len(vectors) - 1, min(len(vectors), SAMPLE_VIEWS)).round().astype(int))
+    chosen = np.asarray(vectors, np.float64)[rows]
+    _, spread, _ = np.linalg.svd(chosen - chosen.mean(0), full_matrices=False)
+    if len(rows) < 3 or spread[0] < 1e-9:
+        return 0.0
+    random = np.random.default_rng(0).standard_normal((len(rows), len(spread))) * spread
+    random /= np.maximum(np.linalg.norm(random, axis=1, keepdims=True), 1e-12)
+    others = ~np.eye(len(rows), dtype=bool)
+    ours, theirs = ((v @ v.T)[others].reshape(len(rows), -1) for v in (chosen, random))
+    chance = theirs.max(1).mean() + theirs.max(1).std()
+    return max(0.0, float((ours.max(1).mean() - chance) / ours.var()))
+
+
+def floor_share(floor: Float[Array, "N V"], whole: Float[Array, "N W"]) -> float:
+    """a: the floor's distinctness over that of both; a half where neither has any."""
+    a, b = distinctness(floor), distinctness(whole)
+    return a / (a + b) if a + b > 0 else 0.5
+
+
+def unite(kept: Mapping[str, np.ndarray], *, seed: int = 0) -> Places:
+    """Both parts, weighed and joined."""
+    floor, whole = (
+        rootsift_vlad.unite({name: kept[f"{part}_{name}"] for name in ("map", "cells")}, seed=seed).vectors
+        for part in ("floor", "whole")
+    )
+    a = floor_share(floor[..., 0], whole[..., 0])
+    straight = jnp.concatenate([math.sqrt(a) * floor[..., 0], math.sqrt(1 - a) * whole[..., 0]], 1)
+    turned = jnp.concatenate([floor[..., 1], jnp.zeros_like(whole[..., 1])], 1)
+    return Places(jnp.stack([straight, turned], -1))
+
+
+JOINT = Descriptor(look, unite)
