@@ -119,7 +119,7 @@ COMMANDS: dict[str, tuple[Callable[[Any], None], type]] = {
 def main(argv: list[str]) -> None:
     """Runs the command that the first argument names; help without one."""
     if not argv or argv[0] in ("-h", "--help"):
-        print("Converts, lists, checks and times the networks. Commands, each with --help:\n")
+        print("Converts, lists, checks and times the networks. Commands, each with --help and --config FILE:\n")
         for name, (_, config) in COMMANDS.items():
             print(f"  python -m ebjax.models {name:9} {config.__doc__}")
         return
