@@ -2,6 +2,7 @@
 
 import sys
 import time
+import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -116,7 +117,11 @@ def main(config: Config) -> None:
     if config.max_steps < 1 or (config.width is not None and config.width <= 0) or config.rtol < 0:
         raise ValueError("--max-steps and --width must be positive, --rtol not negative")
     start = time.perf_counter()
-    graph, ids = read_g2o(config.graph)
+    with warnings.catch_warnings(record=True) as notes:
+        warnings.simplefilter("always")
+        graph, ids = read_g2o(config.graph)
+    for note in notes:
+        print(f"note: {note.message}", file=sys.stderr)
     read_s = time.perf_counter() - start
     if config.robust_on == "loops":
         graph = replace(graph, robust=np.abs(np.asarray(graph.i) - np.asarray(graph.j)) != 1)

@@ -8,6 +8,7 @@
 Units m and rad. Ids may be sparse and unsorted: rows follow the vertices' order in the file, ids are kept beside them.
 """
 
+import warnings
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
@@ -16,7 +17,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ebjax.posegraph.graph import PoseGraph, make_graph
-from ebjax.posegraph.init import odometry
+from ebjax.posegraph.init import odometry, spanning_tree
 
 _VERTICES = {"VERTEX_SE2": 3, "VERTEX_SE3:QUAT": 7, "VERTEX2": 3}
 _EDGES = {"EDGE_SE2": (3, 6), "EDGE_SE3:QUAT": (7, 21), "EDGE2": (3, 6)}
@@ -25,8 +26,9 @@ _EDGES = {"EDGE_SE2": (3, 6), "EDGE_SE3:QUAT": (7, 21), "EDGE2": (3, 6)}
 def read_g2o(path: str | PathLike) -> tuple[PoseGraph, Int[np.ndarray, " N"]]:
     """Reads a graph in float64 and the ids of its rows.
 
-    Every edge is marked robust; FIX sets `fixed`. Without vertices the poses start from odometry and rows are ordered
-    by id. Lines that carry no constraint (PARAMS_..., comments) are skipped.
+    Every edge is marked robust; FIX sets `fixed`. Vertices that only edges name start where the fewest edges put them,
+    from those that are given, with a warning, and rows are then ordered by id; without any vertex the start is
+    odometry. Lines that carry no constraint (PARAMS_..., comments) are skipped.
 
     Raises:
       ValueError: names the file, the line and what to do about it.
@@ -90,12 +92,10 @@ def _build(name, size, vertices, edges, numbers, fixes):
     dim = 3 if size == 3 else 6
     numbers = numbers.reshape(len(edges), size + dim * (dim + 1) // 2)
     lines = [line for _, _, line in edges]
-    ids = list(vertices) if vertices else sorted({p for a, b, _ in edges for p in (a, b)})
+    named = vertices.keys() | {p for a, b, _ in edges for p in (a, b)}
+    ids = list(vertices) if len(named) == len(vertices) else sorted(named)
     row = {p: k for k, p in enumerate(ids)}
     for a, b, line in edges:
-        for p in (a, b):
-            if p not in row:
-                raise ValueError(f"{name}:{line}: edge {a} {b} names vertex {p}, which no VERTEX line gives; add it")
         if a == b:
             raise ValueError(f"{name}:{line}: edge joins vertex {a} with itself; delete the line")
     bad = ~np.isfinite(numbers).all(1)
@@ -114,14 +114,13 @@ def _build(name, size, vertices, edges, numbers, fixes):
                 f"{name}:{lines[int(np.argmax(bad))]}: information matrix is not positive definite{more}; "
                 "give every edge a full inverse covariance"
             )
-    poses = _from_file(np.array(list(vertices.values())), size) if vertices else np.zeros((len(ids), size))
+    known, nowhere = np.array([p in vertices for p in ids]), [0.0] * (size - 1) + [float(size == 7)]
+    poses = _from_file(np.array([vertices.get(p, nowhere) for p in ids]), size)
     if size == 7:
         norms = np.linalg.norm(numbers[:, 3:7], axis=1)
         if (norms < 1e-3).any():
             raise ValueError(f"{name}:{lines[int(np.argmax(norms < 1e-3))]}: quaternion is zero; correct the line")
-        if not vertices:
-            poses[:, 0] = 1
-        elif (np.linalg.norm(poses[:, :4], axis=1) < 1e-3).any() or not np.isfinite(poses).all():
+        if (np.linalg.norm(poses[:, :4], axis=1) < 1e-3).any() or not np.isfinite(poses).all():
             k = int(np.argmax(~(np.linalg.norm(poses[:, :4], axis=1) >= 1e-3)))
             raise ValueError(f"{name}: vertex {ids[k]} has a zero quaternion; correct its line")
     fixed = np.zeros(len(ids), bool)
@@ -131,7 +130,14 @@ def _build(name, size, vertices, edges, numbers, fixes):
         fixed[row[p]] = True
     i, j = (np.array([row[e[k]] for e in edges], np.int64) for k in (0, 1))
     graph = make_graph(poses, i, j, _from_file(numbers[:, :size], size), information, fixed=fixed)
-    return graph if vertices else replace(graph, poses=odometry(graph)), np.array(ids, np.int64)
+    if not vertices:
+        graph = replace(graph, poses=odometry(graph))
+    elif not known.all():
+        first = ids[int(np.argmin(known))]
+        more = f" and {len(ids) - known.sum() - 1} more" if known.sum() < len(ids) - 1 else ""
+        warnings.warn(f"{name}: no VERTEX line for {first}{more}; they start where the edges put them", stacklevel=3)
+        graph = replace(graph, poses=spanning_tree(replace(graph, fixed=known)))
+    return graph, np.array(ids, np.int64)
 
 
 def _from_file(values, size):

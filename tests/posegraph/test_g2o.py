@@ -44,6 +44,14 @@ def test_without_vertices_the_poses_start_from_odometry():
     np.testing.assert_allclose(graph.poses[2], [1 + np.cos(0.1), np.sin(0.1), 0.2])
 
 
+def test_a_missing_vertex_starts_where_its_edge_puts_it():
+    with pytest.warns(UserWarning, match="g2o text: no VERTEX line for 4 and 1 more"):
+        graph, ids = parse_g2o("\n".join(["VERTEX_SE2 9 5 5 0", EDGE.format(9, 20), EDGE.format(4, 9)]))
+    assert ids.tolist() == [4, 9, 20]
+    np.testing.assert_allclose(graph.poses[1:], [[5, 5, 0], [6, 5, 0.1]])
+    assert not graph.fixed.any()
+
+
 def test_toro_is_read_with_its_own_order_of_the_information():
     graph, _ = parse_g2o("VERTEX2 0 0 0 0\nVERTEX2 1 1 0 0\nEDGE2 0 1 1 0 0 11 1 22 33 2 3")
     np.testing.assert_array_equal(graph.information[0], [[11, 1, 2], [1, 22, 3], [2, 3, 33]])
@@ -52,7 +60,6 @@ def test_toro_is_read_with_its_own_order_of_the_information():
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        (EDGE.format(7, 99), r"bad.g2o:10: edge 7 99 names vertex 99"),
         ("EDGE_SE2 7 3 1 0 0.1 2", r"bad.g2o:10: EDGE_SE2 has 6 numbers, needs 11"),
         ("EDGE_SE2 7 3 1 0 0 2 0 0 -3 0 4", r"bad.g2o:10: information matrix is not positive definite"),
         ("EDGE_SE2 7 3 1 nan 0 2 0 0 3 0 4", r"bad.g2o:10: edge holds a number that is not finite"),

@@ -25,11 +25,18 @@ def test_optimises_a_file_and_writes_it_whole(ring, tmp_path):
     assert error(better.poses) < error(graph.poses)
 
 
+def test_missing_vertices_are_noted(tmp_path):
+    (tmp_path / "thin.g2o").write_text("VERTEX_SE2 0 0 0 0\nEDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n")
+    done = command("thin.g2o", "--quiet", cwd=tmp_path)
+    assert done.returncode == 0
+    assert done.stderr == "note: thin.g2o: no VERTEX line for 1; they start where the edges put them\n"
+
+
 def test_bad_input_is_one_line_exit_2_and_no_output(tmp_path):
-    (tmp_path / "bad.g2o").write_text("VERTEX_SE2 0 0 0 0\nEDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n")
+    (tmp_path / "bad.g2o").write_text("VERTEX_SE2 0 0 0 0\nEDGE_SE2 0 1 1 0 0 1 0 0 1 0\n")
     done = command("bad.g2o", "--out", "out.g2o", cwd=tmp_path)
     assert done.returncode == 2
-    assert done.stderr.startswith("error: bad.g2o:2: edge 0 1 names vertex 1")
+    assert done.stderr.startswith("error: bad.g2o:2: EDGE_SE2 has 10 numbers")
     assert len(done.stderr.splitlines()) == 1
     assert not (tmp_path / "out.g2o").exists()
     assert command("absent.g2o", cwd=tmp_path).returncode == 2
