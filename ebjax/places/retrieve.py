@@ -15,6 +15,8 @@ from jaxtyping import Array, Bool, Float, Int
 from ebjax.places.correlation import correlate, overlap_weight, spectrum
 from ebjax.places.descriptor_map import MapSpace
 
+BLOCK = 512
+
 
 @typing.no_type_check
 @jax.tree_util.register_dataclass
@@ -57,12 +59,18 @@ def cosine_top_k(
 
     Exhaustive and so exact, to rounding. Of equal scores the earlier reference comes first.
     """
-    # XLA reads the references once for many queries, but takes 17 times as long for one row as for one column.
-    scores = (references @ queries.T).T if len(queries) == 1 else queries @ references.T
-    if allowed is not None:
-        scores = jnp.where(allowed, scores, -jnp.inf)
-    best, index = jax.lax.top_k(scores, min(k, scores.shape[1]))
-    return best, index
+
+    def best(query, allowed):
+        # XLA reads the references once for many queries, but takes 17 times as long for one row as for one column.
+        scores = references @ query
+        return tuple(jax.lax.top_k(jnp.where(allowed, scores, -jnp.inf), min(k, len(references))))
+
+    every = jnp.ones((1, 1), bool) if allowed is None else allowed
+    if len(queries) == 1:
+        return jax.tree.map(lambda leaf: leaf[None], best(queries[0], every[0]))
+    every = jnp.broadcast_to(every, (len(queries), every.shape[1]))
+    # Scores of a block of queries at a time: they stay in the cache, and memory does not grow with the queries.
+    return jax.lax.map(lambda row: best(*row), (queries, every), batch_size=BLOCK)
 
 
 @partial(jax.jit, static_argnames="k")
