@@ -23,7 +23,7 @@ class Config:
     robust: Literal[
         "cauchy", "none", "huber", "geman-mcclure", "dcs", "tls", "gnc-tls", "gnc-gm", "pcm", "consensus"
     ] = "cauchy"
-    """Robust kernel; none is plain least squares, consensus is ebjax.slam's: it survives most loops being false."""
+    """Robust kernel; none is least squares. gnc-*, pcm and consensus survive many loops being false."""
     width: float | None = None
     """Of the kernel, in standard deviations of a residual; None: 1, for tls, gnc-*, consensus the 99.9 % point."""
     robust_on: Literal["all", "loops"] = "all"

@@ -61,9 +61,9 @@ class PipelineConfig:
     tolerance_m: float = 0.02
     """Largest distance of matching points on the floor, m."""
     kernel: Literal[
-        "consensus", "cauchy", "none", "huber", "geman-mcclure", "dcs", "tls", "gnc-tls", "gnc-gm", "pcm"
-    ] = "consensus"
-    """How the pose graph survives false closures, as in `ebjax.posegraph.solve`; cauchy is the paper's."""
+        "cauchy", "none", "huber", "geman-mcclure", "dcs", "tls", "gnc-tls", "gnc-gm", "pcm", "consensus"
+    ] = "cauchy"
+    """How the pose graph survives false closures among those selected, as in `ebjax.posegraph.solve`."""
     kernel_width: float | None = None
     """Width of that kernel, standard deviations; None is 1, and for those that cut off the 99.9 % point."""
     seed: int = 0
