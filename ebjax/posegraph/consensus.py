@@ -6,8 +6,7 @@
 false ones do not agree with their neighbours. Two neighbouring loops and the odometry between them make a cycle of
 distance D and covariance S; among loops drawn at random from the space of poses, of volume V, a cycle closes at least
 as well with probability p = ball(D) sqrt(det S) / V. A loop is believed if K M p < 1 for one of its M neighbours, so
-that less than one of K random loops is believed in all (a contrario, Desolneux et al. 2000). The cycles that did close
-also tell if the information matrices promise too little: their distances should be chi-square distributed. Loops that
+that less than one of K random loops is believed in all (a contrario, Desolneux et al. 2000). Loops that
 nothing confirms are not lost: the solution found without them decides.
 """
 
@@ -26,15 +25,13 @@ from ebjax.posegraph.robust import CHI2_99
 
 RULES = ("pcm", "consensus")
 _NEIGHBOURS = 16
-_FEWEST = 10  # confirmed loops to learn a scale from
 
 
 class Believed(NamedTuple):
-    """`loop`: edges that close loops; `kept`: those believed; `scale` <= 1: their cycles' sigma over that promised."""
+    """`loop`: edges that close loops; `kept`: those believed."""
 
     loop: Bool[np.ndarray, " E"]
     kept: Bool[np.ndarray, " E"]
-    scale: float
 
 
 def believed(graph: PoseGraph, rule: str) -> Believed:
@@ -48,14 +45,14 @@ def believed(graph: PoseGraph, rule: str) -> Believed:
     loop = np.asarray(graph.robust) & (np.abs(np.asarray(graph.i) - np.asarray(graph.j)) > 1)
     kept = np.zeros_like(loop)
     if not loop.any():
-        return Believed(loop, kept, 1.0)
+        return Believed(loop, kept)
     loops = _loops(graph, loop)
     if rule == "pcm":
         limit = CHI2_99[graph.lie.dim]
         kept[loop] = largest_clique(np.asarray(all_cycles(loops)) <= limit, np.ones(int(loop.sum())))
-        return Believed(loop, kept, 1.0)
-    kept[loop], scale = _confirmed(loops, graph.lie.dim)
-    return Believed(loop, kept, scale)
+        return Believed(loop, kept)
+    kept[loop] = _confirmed(loops, graph.lie.dim)
+    return Believed(loop, kept)
 
 
 def _loops(graph: PoseGraph, loop) -> Loops:
@@ -74,14 +71,13 @@ def _loops(graph: PoseGraph, loop) -> Loops:
     return make_loops(poses, steps, i[loop], j[loop], measured[loop], covariance[loop])
 
 
-def _confirmed(loops: Loops, dim: int) -> tuple[Bool[np.ndarray, " K"], float]:
+def _confirmed(loops: Loops, dim: int) -> Bool[np.ndarray, " K"]:
     from scipy.spatial import cKDTree
-    from scipy.stats import chi2
 
     ends = np.stack([np.asarray(loops.i), np.asarray(loops.j)], 1)
     count = len(ends)
     if count < 2:
-        return np.zeros(count, bool), 1.0
+        return np.zeros(count, bool)
     near = cKDTree(ends).query(ends, min(_NEIGHBOURS + 1, count), p=1)[1]
     one, other = np.repeat(np.arange(count), near.shape[1]), near.ravel()
     distance, half = (np.asarray(x) for x in _pairs(loops, one, other))
@@ -90,12 +86,7 @@ def _confirmed(loops: Loops, dim: int) -> tuple[Bool[np.ndarray, " K"], float]:
     with np.errstate(over="ignore"):
         chance = ball * distance ** (dim / 2) * np.exp(half.reshape(near.shape)) / _volume(loops, dim)
     closes = distance <= CHI2_99[dim]
-    kept = (closes & (chance * count * (near.shape[1] - 1) < 1)).any(1)
-    tightest = np.where(closes, half.reshape(near.shape), np.inf).argmin(1)
-    sample = distance[np.arange(count), tightest][kept]
-    if len(sample) < _FEWEST:
-        return kept, 1.0
-    return kept, float(min(1, np.quantile(sample, 0.99) / chi2.ppf(0.99, dim)) ** 0.5)
+    return (closes & (chance * count * (near.shape[1] - 1) < 1)).any(1)
 
 
 _pairs = jax.jit(cycle)

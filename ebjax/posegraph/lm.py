@@ -41,7 +41,7 @@ def solve(
       kernel: "none", "cauchy", "huber", "geman-mcclure", "dcs", "tls"; graduated (`ebjax.posegraph.gnc`): "gnc-tls",
         "gnc-gm"; or a choice of loops first (`ebjax.posegraph.consensus`, not under jit), the edges between successive
         rows being believed: "pcm" is Cauchy on the largest consistent set, "consensus" gnc-tls on the loops that
-        others confirm, as narrow as their scatter allows, then tls on all.
+        others confirm, then tls on all from there.
       width: of the kernel, in standard deviations, one for all edges or one per edge; None is 1, and for the kernels
         that cut off the root of the 99.9 % point of chi-square with as many degrees of freedom as a pose.
       max_steps: steps tried at most, accepted or not.
@@ -95,8 +95,7 @@ def _call(graph, kernel, width, max_steps, rtol, solver, structure, report, func
         if kernel == "pcm":
             information = np.asarray(information) * (chosen.kept | ~chosen.loop)[:, None, None]
         else:
-            first = jnp.asarray(width * chosen.scale * chosen.kept, dtype)
-            width = width * np.where(chosen.kept, 1, chosen.scale)
+            first = jnp.asarray(width * chosen.kept, dtype)
     if structure is None:
         structure = analyse(graph, solver)
     params = tuple(jnp.asarray(x, dtype) for x in (graph.poses, graph.measured, information, width))
