@@ -6,6 +6,7 @@ by arc length beside it. Every alignment is printed: none, SE(2), SE(3), Sim(3).
 
 import json
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -159,7 +160,7 @@ class PaperConfig:
     out: Path = Path("runs/paper")
     """Folder for the results, the rendered worlds among them."""
     quick: bool = False
-    """Fewer frames along the same paths, fewer pairs."""
+    """Fewer frames, straight ways cut short, one pair a set."""
     sets: tuple[str, ...] = ("D1", "D2", "D3", "D4", "D5", "D6", "D7")
     """Worlds of tables 1 to 3."""
     plans: tuple[str, ...] = ("S1", "S2", "S3")
@@ -172,6 +173,61 @@ class PaperConfig:
     """Folder of the networks' weights; None: $EBJAX_WEIGHTS or ~/.cache/ebjax/weights."""
     seed: int = 0
     """Of vocabularies and RANSAC."""
+
+
+@dataclass(frozen=True)
+class AblationsConfig:
+    """Measures what recall and trajectory depend on: length of the way, floor, lateral shift, closures, kernel.
+
+    Writes ablations.md, ablations.json and a PNG each. What OUT holds already is not measured again.
+    """
+
+    out: Path = Path("runs/ablations")
+    """Folder for the results, the rendered worlds among them."""
+    quick: bool = False
+    """Shorter ways, fewer frames, fewer values of every setting."""
+    seed: int = 0
+    """Of the worlds, vocabularies and RANSAC."""
+
+
+@dataclass(frozen=True)
+class CropsConfig:
+    """Ranks descriptors by retrieval among crops of photographed floors, and of synthetic floors beside them.
+
+    Writes crops.md, crops.json and PNGs of examples; prints Kendall's tau of the two rankings.
+    """
+
+    floors: tyro.conf.Positional[tuple[Path, ...]]
+    """Folders of photographs of floors, or of facing pairs with gt.json."""
+    out: Path = Path("runs/crops")
+    """Folder for the results."""
+    only: str = "*"
+    """Images that count, as a pattern of their names."""
+    crops: int = 800
+    """Crops in the database, at most."""
+    synthetic: bool = True
+    """Measure on synthetic floors too."""
+    weights: Path | None = None
+    """Folder of the networks' weights; None: $EBJAX_WEIGHTS or ~/.cache/ebjax/weights."""
+    seed: int = 0
+    """Of viewpoints, light, synthetic floors and vocabularies."""
+
+
+def ablations(config: AblationsConfig) -> None:
+    """Measures, draws, writes, prints the tables."""
+    from ebjax.paper.ablation_table import make
+
+    print("\n".join(make(config.out, quick=config.quick, seed=config.seed)))
+    print(f"wrote {config.out / 'ablations.md'}")
+
+
+def crops(config: CropsConfig) -> None:
+    """Measures, writes, prints the table."""
+    from ebjax.paper.crop_table import make
+
+    common = (config.only, config.crops, config.weights, config.seed)
+    print("\n".join(make(config.floors, config.out, *common, side_by_side=config.synthetic)))
+    print(f"wrote {config.out / 'crops.md'}")
 
 
 def paper(config: PaperConfig) -> None:
@@ -192,8 +248,15 @@ def paper(config: PaperConfig) -> None:
     print(f"wrote {config.out / 'paper.md'}")
 
 
+COMMANDS: dict[str, tuple[Callable[[Any], None], type]] = {
+    "paper": (paper, PaperConfig),
+    "ablations": (ablations, AblationsConfig),
+    "crops": (crops, CropsConfig),
+}
+
+
 if __name__ == "__main__":
-    if sys.argv[1:2] == ["paper"]:
-        run(paper, PaperConfig, sys.argv[2:])
+    if sys.argv[1:2] and sys.argv[1] in COMMANDS:
+        run(*COMMANDS[sys.argv[1]], sys.argv[2:])
     else:
         run(main, EvaluationConfig, needs_jax=False)

@@ -50,17 +50,13 @@ def make(
     experiment.trajectories(plans, d5)
     drawn = experiment.draw(sets, plans)
     sections = list(_sections(experiment, sets, plans, real, d5))
-    sections.append(("## Figures", [line for caption, path in drawn for line in _shown(caption, path, out)]))
+    sections.append(("## Figures", [line for caption, path in drawn for line in page.shown(caption, path, out)]))
     settings = _settings(experiment, sets, plans)
     page.write(out, sections, {**experiment.tables, "settings": settings, "left_out": experiment.left_out})
     for path in experiment.cells.damaged:
         print(f"{path}: damaged; measured again")
     print(f"{experiment.cells.measured} cells measured, {experiment.cells.reused} found")
     return [line for title, lines in sections[:-1] for line in (title, "", *lines)]
-
-
-def _shown(caption: str, path: Path, out: Path) -> list[str]:
-    return [f"![{caption}]({path.relative_to(out)})", "", caption, ""]
 
 
 def _settings(experiment: Experiment, sets: tuple[str, ...], plans: tuple[str, ...]) -> dict[str, Any]:
@@ -81,7 +77,8 @@ def _sections(
     experiment: Experiment, sets: tuple[str, ...], plans: tuple[str, ...], real: Path | None, d5: Path | None
 ) -> Iterator[tuple[str, list[str]]]:
     tables = experiment.tables
-    quick = f"Quick: frames at least {worlds.QUICK_STEP_M} m apart along the same paths. " if experiment.quick else ""
+    cut = f"frames {worlds.QUICK_STEP_M:g} m apart, straight ways out cut to {worlds.QUICK_WAY_M:g} m"
+    quick = f"Quick: {cut}, {experiment.pair_count} pair a set. " if experiment.quick else ""
     yield (
         "# The experiments of Early Bird, measured",
         [

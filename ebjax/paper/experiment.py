@@ -17,7 +17,7 @@ from ebjax.features.table import INPUTS as SEEN_AS
 from ebjax.features.table import Pair, compare_pairs
 from ebjax.io.images import read_both
 from ebjax.io.pairs import read_pairs
-from ebjax.paper import drift, figures, worlds
+from ebjax.paper import drift, figures, page, worlds
 from ebjax.paper.cells import Cells
 from ebjax.paper.drift import Closed, close_loops
 from ebjax.paper.pairs import cut_pairs
@@ -66,6 +66,10 @@ class Experiment:
             self._configs[name] = worlds.read_world(self.folder, name, quick=self.quick)
         return self._configs[name]
 
+    def define(self, name: str, config: Any) -> None:
+        """Makes a world known that has no file."""
+        self._configs[name] = config
+
     def path(self, name: str) -> Path:
         """The set's sequence, rendered if need be."""
         return worlds.render(self.config(name), name, self.out / "worlds")
@@ -112,7 +116,7 @@ class Experiment:
                 self.descriptor(which)
                 chosen.append(which)
             except ValueError as fault:
-                self.left_out[which] = _reason(fault)
+                self.left_out[which] = page.reason(fault)
         for name in names:
             for which in chosen:
                 rankings = RANKINGS.get(which, ("cosine",))
@@ -133,7 +137,7 @@ class Experiment:
     def correspondences(self, names: tuple[str, ...], real: Path | None) -> None:
         """Table 3: on pairs cut from the sets, and on real ones where a folder of them is given."""
         found, absent = usable(list(EXTRACTORS), self.weights)
-        self.left_out |= {which: _reason(why) for which, why in absent.items()}
+        self.left_out |= {which: page.reason(why) for which, why in absent.items()}
 
         @lru_cache(maxsize=1)
         def pairs(name: str) -> list[Pair]:
@@ -216,12 +220,6 @@ class Experiment:
         if not pairs:
             raise ValueError(f"{self.path(name)}: no two frames face each other over the same floor")
         return figures.matches(pairs[0], extractor("rootsift"))
-
-
-def _reason(why: ValueError | str) -> str:
-    """The first clause: where weights should lie is not for a table."""
-    text = str(why).partition(", and")[0]
-    return f"{text} (python -m ebjax.models list)" if text.endswith("needs weights") else text
 
 
 def _pair_means(which: str, weights: Path | None, pairs: list[Pair], seed: int) -> dict[str, dict[str, Any]]:

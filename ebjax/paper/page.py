@@ -32,6 +32,17 @@ def percent(value: float | None) -> str:
     return DASH if value is None else f"{100 * value:.1f}"
 
 
+def shown(caption: str, path: Path, out: Path) -> list[str]:
+    """A picture in `out` with its caption."""
+    return [f"![{caption}]({path.relative_to(out)})", "", caption, ""]
+
+
+def reason(why: ValueError | str) -> str:
+    """Why a row is left out, the first clause of it: where weights should lie is not for a table."""
+    text = str(why).partition(", and")[0]
+    return f"{text} (python -m ebjax.models list)" if text.endswith("needs weights") else text
+
+
 def recall_tables(table: Mapping[str, Mapping[str, Mapping[str, Any]]], sets: Sequence[str]) -> Iterator[str]:
     """One table a metric; by chance: what a blind guess among the frames of the way out would get."""
     for metric, title in RECALLS.items():
@@ -53,12 +64,12 @@ def pair_table(table: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Iterator
     """Mean inliers / matches, and pairs whose motion is right."""
     sets = list(dict.fromkeys(name for cells in table.values() for name in cells))
 
-    def shown(cell: Mapping[str, Any] | None) -> str:
+    def text_of(cell: Mapping[str, Any] | None) -> str:
         if cell is None or not cell["pairs"]:
             return DASH
         return f"{cell['inliers']:.0f} / {cell['total']:.0f}, {cell['right']} of {cell['pairs']}"
 
-    rows = {row: [*(shown(cells.get(name)) for name in sets), DASH] for row, cells in table.items()}
+    rows = {row: [*(text_of(cells.get(name)) for name in sets), DASH] for row, cells in table.items()}
     yield from markdown_table(["", *sets, "paper"], rows)
 
 
@@ -66,7 +77,7 @@ def drift_table(table: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Iterato
     """ATE rmse, its share of odometry's, closures and how many are false."""
     sets = list(dict.fromkeys(name for cells in table.values() for name in cells))
 
-    def shown(cell: Mapping[str, Any] | None) -> str:
+    def text_of(cell: Mapping[str, Any] | None) -> str:
         if cell is None:
             return DASH
         text = f"{cell['ate_rmse_m']:.3f} m"
@@ -80,13 +91,26 @@ def drift_table(table: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Iterato
         "published Early Bird": f"D5 mean {published.EARLY_BIRD_D5_MEAN_M} m",
         "published RTAB-Map": f"D5 mean {published.RTABMAP_D5_MEAN_M} m",
     }
-    rows = {row: [*(shown(cells.get(n)) for n in sets), quoted.get(row, DASH)] for row, cells in table.items()}
+    rows = {row: [*(text_of(cells.get(n)) for n in sets), quoted.get(row, DASH)] for row, cells in table.items()}
     yield from markdown_table(["", *sets, "paper"], rows)
     real = {row: cell for row, cells in table.items() for cell in cells.values() if "ate_mean_m" in cell}
     if real:
         yield "D5 as the paper counts it (mean, row by row, aligned by the first 70 poses; the rows are out of step): "
         yield ", ".join(f"{row} {cell['ate_mean_m']:.3f} m" for row, cell in real.items()) + "."
         yield ""
+
+
+def number(value: float | None) -> str:
+    """Four digits, or a dash."""
+    return DASH if value is None else f"{value:.4g}"
+
+
+def write_ablations(out: Path, lines: Sequence[str], found: Mapping[str, Any]) -> None:
+    """Writes ablations.md and ablations.json, each whole."""
+    with whole_file(out / "ablations.md") as file:
+        file.write("\n".join(["# Ablations", "", *lines, ""]))
+    with whole_file(out / "ablations.json") as file:
+        json.dump(found, file, indent=1, allow_nan=False)
 
 
 def write(out: Path, sections: Sequence[tuple[str, Sequence[str]]], tables: Mapping[str, Any]) -> None:

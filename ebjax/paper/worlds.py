@@ -10,8 +10,8 @@ from ebjax.floors.__main__ import Config as WorldConfig
 from ebjax.floors.__main__ import render_sequence
 from ebjax.io.atomic import whole_file
 
-QUICK_STEP_M = 0.5
-"""Distance between two frames of a quick world."""
+QUICK_STEP_M, QUICK_WAY_M = 0.4, 12.0
+"""Of a quick world: distance between two frames, at least, and length of a straight way out, at most."""
 
 
 def default_folder() -> Path:
@@ -20,7 +20,7 @@ def default_folder() -> Path:
 
 
 def read_world(folder: Path, name: str, *, quick: bool) -> WorldConfig:
-    """What a world is like; a quick one has fewer frames along the same path.
+    """What a world is like; a quick one has fewer frames, and a straight way is cut short.
 
     Raises:
       ValueError: there is no such file, or it is not understood.
@@ -30,8 +30,9 @@ def read_world(folder: Path, name: str, *, quick: bool) -> WorldConfig:
         raise ValueError(f"{path}: no such file; --worlds names the folder with a NAME.yaml for every set")
     config = load_config(path, WorldConfig)
     if quick:
-        step_m = max(config.robot.step_m, QUICK_STEP_M)
-        config = dataclasses.replace(config, robot=dataclasses.replace(config.robot, step_m=step_m))
+        robot = config.robot
+        short = {"step_m": max(robot.step_m, QUICK_STEP_M), "distance_m": min(robot.distance_m, QUICK_WAY_M)}
+        config = dataclasses.replace(config, robot=dataclasses.replace(robot, **short))
     return config
 
 
