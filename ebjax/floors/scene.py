@@ -1,4 +1,4 @@
-"""A corridor: a textured floor, a ceiling, and upright walls with doors that repeat; where rays meet the walls.
+"""What stands around the floor: upright walls with doors that repeat and skirting, a ceiling of panels and lamps.
 
 World: z up, the floor is z = 0, metres. Reflectance is linear. Rays are lists of their three world components.
 """
@@ -8,66 +8,72 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ebjax.floors import mipmap
-from ebjax.floors.mipmap import Mipmap
+from ebjax.floors.atlas import Atlas
+from ebjax.floors.obstacles import Boxes
+from ebjax.floors.plan import Plan
 
 CEILING_M = 2.6
 SKIRTING_M = 0.11
 DOOR_WIDTH_M, DOOR_HEIGHT_M, DOOR_FRAME_M = 0.9, 2.05, 0.06
-LAMP_SPACING_M, LAMP_SIDE_M = 2.4, 0.6
-WALL, SKIRTING, DOOR, FRAME, CEILING = (
+PANEL_M, PANEL_GAP_M = 0.6, 0.02
+LAMP_SPACING_M, LAMP_SIDE_M = 2.4, 0.58
+WALL, SKIRTING, DOOR, FRAME, CEILING, GRID = (
     (0.62, 0.61, 0.57),
     (0.19, 0.17, 0.15),
     (0.115, 0.055, 0.032),
     (0.05, 0.025, 0.015),
     (0.75, 0.75, 0.73),
+    (0.35, 0.35, 0.34),
 )
+Plane = Float[Array, "H W"]
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
-class Corridor:
-    """Walls as floor segments seen from their left, the floor's texture and where its corner lies."""
+class Scene:
+    """Walls as floor segments with the floor on their left, the floor, and what does not move on it."""
 
     walls: Float[Array, "S 2 2"]
     """Start and end of each wall, world x and y, m."""
+    wall_colours: Float[Array, "S 3"]
     doors: Float[Array, "S 2"]
     """Position of one door along its wall and the spacing of the others, m; doors that do not fit are left out."""
-    floor: Mipmap
-    floor_origin: Float[Array, "2"]
-    """World x and y of the outer corner of texel (0, 0), m."""
-    texel_m: float = dataclasses.field(metadata=dict(static=True))
+    floor: Atlas
+    furniture: Boxes
 
 
-def straight_corridor(
-    x_min: float, x_max: float, width_m: float, door_spacing_m: float, texture: Float[Array, "H W 3"], texel_m: float
-) -> Corridor:
-    """A box centred on y = 0: identical doors face each other along both sides, one door in the middle of each end."""
-    y, dtype = width_m / 2, texture.dtype
-    corners = jnp.array([[x_min, -y], [x_max, -y], [x_max, y], [x_min, y]], dtype)
-    walls = jnp.stack([corners, jnp.roll(corners, -1, axis=0)], axis=1)
-    length = x_max - x_min
-    side, end = (length / 2, door_spacing_m), (y, 10 * width_m)
-    doors = jnp.array([side, end, side, end], dtype)
-    return Corridor(walls, doors, mipmap.build(texture), corners[0], texel_m)
+def make_scene(
+    plan: Plan,
+    floor: Atlas,
+    door_spacing_m: float,
+    furniture: Boxes,
+    wall_colours: Float[np.ndarray, "S 3"] | None = None,
+) -> Scene:
+    """Walls of one plaster unless told otherwise, identical doors along them; the dtype is the floor's."""
+    dtype = floor.lengths.dtype
+    lengths = np.linalg.norm(plan.walls[:, 1] - plan.walls[:, 0], axis=1)
+    doors = np.stack([lengths / 2, np.full_like(lengths, door_spacing_m)], axis=1)
+    colours = np.tile(WALL, (len(lengths), 1)) if wall_colours is None else wall_colours
+    return Scene(
+        jnp.asarray(plan.walls, dtype), jnp.asarray(colours, dtype), jnp.asarray(doors, dtype), floor, furniture
+    )
 
 
-def _covered(x: Float[Array, "H W"], low, high, footprint: Float[Array, "H W"]) -> Float[Array, "H W"]:
+def covered(x: Plane, low, high, footprint: Plane) -> Plane:
     """Share of the footprint centred on x that lies within [low, high]."""
     half = footprint / 2
     return jnp.clip((jnp.minimum(x + half, high) - jnp.maximum(x - half, low)) / footprint, 0, 1)
 
 
-def _mix(
-    colour: Float[Array, "*s 3"], other: tuple[float, float, float], share: Float[Array, "*s"]
-) -> Float[Array, "*s 3"]:
+def _mix(colour: Float[Array, "H W 3"], other: tuple[float, float, float], share: Plane) -> Float[Array, "H W 3"]:
     return colour + share[..., None] * (jnp.broadcast_to(jnp.array(other, colour.dtype), colour.shape) - colour)
 
 
 def wall_colour(
-    along, height, footprint_along, footprint_height, length, first_door, door_spacing
+    plaster, along, height, footprint_along, footprint_height, length, first_door, door_spacing
 ) -> Float[Array, "H W 3"]:
     """Plaster, skirting and the doors of one wall; positions and footprints in metres."""
     centre = first_door + door_spacing * jnp.round((along - first_door) / door_spacing)
@@ -75,35 +81,44 @@ def wall_colour(
     fits = (centre - outer > 0) & (centre + outer < length)
     offset = along - centre
 
-    def box(half_width: float, top: float) -> Float[Array, "H W"]:
-        across = _covered(offset, -half_width, half_width, footprint_along)
-        return fits * across * _covered(height, -1.0, top, footprint_height)
+    def box(half_width: float, top: float) -> Plane:
+        across = covered(offset, -half_width, half_width, footprint_along)
+        return fits * across * covered(height, -1.0, top, footprint_height)
 
-    colour = jnp.broadcast_to(jnp.array(WALL, along.dtype), (*along.shape, 3))
-    colour = _mix(colour, SKIRTING, _covered(height, -1.0, SKIRTING_M, footprint_height))
+    colour = _mix(plaster, SKIRTING, covered(height, -1.0, SKIRTING_M, footprint_height))
     colour = _mix(colour, FRAME, box(outer, DOOR_HEIGHT_M + DOOR_FRAME_M))
     return _mix(colour, DOOR, box(DOOR_WIDTH_M / 2, DOOR_HEIGHT_M))
 
 
-def lamps(x: Float[Array, "H W"], y: Float[Array, "H W"], blur: Float[Array, "H W"]) -> Float[Array, "H W"]:
-    """Share of a blurred ceiling point that is lamp: square panels above y = 0, one every LAMP_SPACING_M."""
-    offset = x - LAMP_SPACING_M * jnp.round(x / LAMP_SPACING_M)
+def lamps(along: Plane, across: Plane, blur: Plane) -> Plane:
+    """Share of a blurred ceiling point that is lamp: square panels above a corridor's middle, one every 2.4 m."""
+    offset = along - LAMP_SPACING_M * jnp.round(along / LAMP_SPACING_M)
     half = LAMP_SIDE_M / 2
-    return jax.nn.sigmoid((half - jnp.abs(offset)) / blur) * jax.nn.sigmoid((half - jnp.abs(y)) / blur)
+    return jax.nn.sigmoid((half - jnp.abs(offset)) / blur) * jax.nn.sigmoid((half - jnp.abs(across)) / blur)
+
+
+def ceiling(along: Plane, across: Plane, footprint: Plane, lamp: float) -> Float[Array, "H W 3"]:
+    """Panels in a grid, and the lamps' radiance."""
+    gaps = jnp.zeros_like(along)
+    for x in (along, across + PANEL_M / 2):
+        offset = x - PANEL_M * jnp.round(x / PANEL_M - 0.5) - PANEL_M / 2
+        gaps = jnp.maximum(gaps, covered(offset, -PANEL_GAP_M / 2, PANEL_GAP_M / 2, footprint))
+    panels = _mix(jnp.broadcast_to(jnp.array(CEILING, along.dtype), (*along.shape, 3)), GRID, gaps)
+    return _mix(panels, (lamp, lamp, lamp), lamps(along, across, 0.004 + 0.3 * footprint))
 
 
 class Hit(NamedTuple):
     """Where each ray meets a wall: depth, which wall, its length, direction and normal . ray, and how far along it."""
 
-    t: Float[Array, "H W"]
+    t: Plane
     wall: Int[Array, "H W"]
-    length: Float[Array, "H W"]
+    length: Plane
     direction: Float[Array, "H W 2"]
-    normal_ray: Float[Array, "H W"]
-    along: Float[Array, "H W"]
+    normal_ray: Plane
+    along: Plane
 
 
-def nearest_wall(walls: Float[Array, "S 2 2"], ray: list[Float[Array, "H W"]], origin: Float[Array, "3"]) -> Hit:
+def nearest_wall(walls: Float[Array, "S 2 2"], ray: list[Plane], origin: Float[Array, "3"]) -> Hit:
     """Crosses every wall's line in turn and keeps the nearest hit; t is infinite where there is none."""
     lengths = jnp.sqrt(jnp.sum((walls[:, 1] - walls[:, 0]) ** 2, axis=-1))
     directions = (walls[:, 1] - walls[:, 0]) / lengths[:, None]
@@ -125,13 +140,3 @@ def nearest_wall(walls: Float[Array, "S 2 2"], ray: list[Float[Array, "H W"]], o
         nearest, wall = jnp.where(closer, t, nearest), jnp.where(closer, i, wall)
     t, along, normal_ray = cross(walls[wall, 0], directions[wall])
     return Hit(jnp.where(jnp.isfinite(nearest), t, nearest), wall, lengths[wall], directions[wall], normal_ray, along)
-
-
-def corner_shade(walls: Float[Array, "S 2 2"], x: Float[Array, "H W"], y: Float[Array, "H W"]) -> Float[Array, "H W"]:
-    """Darkening of the floor close to the lines of the walls."""
-    shade = jnp.ones_like(x)
-    for start, end in walls:
-        ex, ey = (end - start) / jnp.sqrt(jnp.sum((end - start) ** 2))
-        clearance = jnp.abs(ex * (y - start[1]) - ey * (x - start[0]))
-        shade = shade * (1 - 0.3 * jnp.exp(-clearance / 0.12))
-    return shade
