@@ -31,8 +31,8 @@ def read_world(folder: Path, name: str, *, quick: bool) -> WorldConfig:
     config = load_config(path, WorldConfig)
     if quick:
         robot = config.robot
-        short = {"step_m": max(robot.step_m, QUICK_STEP_M), "distance_m": min(robot.distance_m, QUICK_WAY_M)}
-        config = dataclasses.replace(config, robot=dataclasses.replace(robot, **short))
+        step_m, distance_m = max(robot.step_m, QUICK_STEP_M), min(robot.distance_m, QUICK_WAY_M)
+        config = dataclasses.replace(config, robot=dataclasses.replace(robot, step_m=step_m, distance_m=distance_m))
     return config
 
 
