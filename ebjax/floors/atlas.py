@@ -60,24 +60,27 @@ class Ground(NamedTuple):
 
 def locate(atlas: Atlas, x: Float[Array, "*s"], y: Float[Array, "*s"]) -> Ground:
     """Finds the first strip that holds each point; points outside all are as if on the first."""
-    found = None
-    for origin, direction, length, column in zip(
-        atlas.origins, atlas.directions, atlas.lengths, atlas.columns, strict=True
-    ):
-        dx, dy = x - origin[0], y - origin[1]
-        u, v = dx * direction[0] + dy * direction[1], dy * direction[0] - dx * direction[1]
-        inner = jnp.minimum(jnp.minimum(u, length - u), jnp.minimum(v, atlas.width_m - v))
-        texel = jnp.stack([u / atlas.texel_m + column - 0.5, v / atlas.texel_m - 0.5], axis=-1)
-        here = Ground(texel, jnp.broadcast_to(direction, texel.shape), u, v - atlas.width_m / 2, inner)
-        if found is None:
-            found = here
-            continue
-        new = (found.clearance < 0) & (inner >= 0)
-        texel, direction = (jnp.where(new[..., None], a, b) for a, b in zip(here[:2], found[:2], strict=True))
-        along, across = (jnp.where(new, a, b) for a, b in zip(here[2:4], found[2:4], strict=True))
-        found = Ground(texel, direction, along, across, jnp.maximum(found.clearance, inner))
-    assert found is not None, "a plan has a corridor"
-    return found
+    strips = atlas.origins, atlas.directions, atlas.lengths, atlas.columns
+
+    def inside(origin, direction, length):
+        dx, dy = x - origin[..., 0], y - origin[..., 1]
+        u = dx * direction[..., 0] + dy * direction[..., 1]
+        v = dy * direction[..., 0] - dx * direction[..., 1]
+        return u, v, jnp.minimum(jnp.minimum(u, length - u), jnp.minimum(v, atlas.width_m - v))
+
+    def step(seen, number):
+        strip, clearance = seen
+        inner = inside(*(column[number] for column in strips[:3]))[2]
+        return (jnp.where((clearance < 0) & (inner >= 0), number, strip), jnp.maximum(clearance, inner)), None
+
+    start = jnp.zeros(x.shape, jnp.int32), inside(*(column[0] for column in strips[:3]))[2]
+    (strip, clearance), _ = jax.lax.scan(step, start, jnp.arange(1, len(atlas.lengths), dtype=jnp.int32))
+    # What many readers fuse with, XLA computes again for each of them.
+    strip, clearance = jax.lax.optimization_barrier((strip, clearance))
+    direction = atlas.directions[strip]
+    u, v, _ = inside(atlas.origins[strip], direction, 0.0)
+    texel = jnp.stack([u / atlas.texel_m + atlas.columns[strip] - 0.5, v / atlas.texel_m - 0.5], axis=-1)
+    return Ground(texel, direction, u, v - atlas.width_m / 2, clearance)
 
 
 def look(atlas: Atlas, ground: Ground, by_pixel: Float[Array, "*s 2 2"]) -> Float[Array, "*s 3"]:

@@ -131,12 +131,16 @@ def nearest_wall(walls: Float[Array, "S 2 2"], ray: list[Plane], origin: Float[A
         along = ex * (origin[0] + t * ray[0] - start[..., 0]) + ey * (origin[1] + t * ray[1] - start[..., 1])
         return t, along, normal_ray
 
-    nearest = jnp.full_like(ray[0], jnp.inf)
-    wall = jnp.zeros(ray[0].shape, jnp.int32)
-    for i in range(walls.shape[0]):
-        t, along, _ = cross(walls[i, 0], directions[i])
+    # Loops and barriers: what many readers fuse with, XLA computes again for each of them.
+    def step(seen, number):
+        nearest, wall = seen
+        t, along, _ = cross(walls[number, 0], directions[number])
         # A tenth of a millimetre of overlap, so that no ray slips out between two walls.
-        closer = (t > 0) & (along >= -1e-4) & (along <= lengths[i] + 1e-4) & (t < nearest)
-        nearest, wall = jnp.where(closer, t, nearest), jnp.where(closer, i, wall)
+        closer = (t > 0) & (along >= -1e-4) & (along <= lengths[number] + 1e-4) & (t < nearest)
+        return (jnp.where(closer, t, nearest), jnp.where(closer, number, wall)), None
+
+    start = jnp.full_like(ray[0], jnp.inf), jnp.zeros(ray[0].shape, jnp.int32)
+    (nearest, wall), _ = jax.lax.scan(step, start, jnp.arange(len(walls), dtype=jnp.int32))
+    nearest, wall = jax.lax.optimization_barrier((jax.lax.stop_gradient(nearest), wall))
     t, along, normal_ray = cross(walls[wall, 0], directions[wall])
     return Hit(jnp.where(jnp.isfinite(nearest), t, nearest), wall, lengths[wall], directions[wall], normal_ray, along)
