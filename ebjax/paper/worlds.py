@@ -8,6 +8,7 @@ import ebjax
 from ebjax.config import load_config
 from ebjax.floors.__main__ import Config as WorldConfig
 from ebjax.floors.__main__ import render_sequence
+from ebjax.floors.sequence import check
 from ebjax.io.atomic import whole_file
 
 QUICK_STEP_M, QUICK_WAY_M = 0.4, 12.0
@@ -23,12 +24,16 @@ def read_world(folder: Path, name: str, *, quick: bool) -> WorldConfig:
     """What a world is like; a quick one has fewer frames, and a straight way is cut short.
 
     Raises:
-      ValueError: there is no such file, or it is not understood.
+      ValueError: there is no such file, or it is not understood, or no world can be so; names file and key.
     """
     path = folder / f"{name}.yaml"
     if not path.is_file():
         raise ValueError(f"{path}: no such file; --worlds names the folder with a NAME.yaml for every set")
     config = load_config(path, WorldConfig)
+    try:
+        check(config)
+    except ValueError as fault:
+        raise ValueError(f"{path}: {fault}") from None
     if quick:
         robot = config.robot
         step_m, distance_m = max(robot.step_m, QUICK_STEP_M), min(robot.distance_m, QUICK_WAY_M)

@@ -98,7 +98,8 @@ def test_pairs_show_the_same_floor(done):
 
 
 @pytest.mark.parametrize(
-    ("text", "word"), [(None, "no such file"), ("robot: {step_m: -1}\n", "step_m"), ("robots: {}\n", "robots")]
+    ("text", "word"),
+    [(None, "no such file"), ("robot: {step_m: -1}\n", "X.yaml: robot.step_m"), ("robots: {}\n", "robots")],
 )
 def test_bad_worlds_are_named(tmp_path, capsys, text, word):
     if text is not None:
