@@ -1,27 +1,34 @@
-"""Synthetic floors as photographs from above, to be cropped as real ones are."""
+"""Synthetic floors as photographs from above under even light, to be cropped as real ones are."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import UInt8
 
+from ebjax.floors.atlas import floor_of, locate, look
 from ebjax.floors.robot import RobotConfig
-from ebjax.floors.sequence import CorridorConfig, record
-from ebjax.floors.sheet import from_above
+from ebjax.floors.sensor import GAMMA
+from ebjax.floors.sequence import CorridorConfig, plan_of
 from ebjax.floors.surface import FAMILIES, FloorConfig
 
-LENGTH_M, WIDTH_M, EACH = 3.0, 2.3, 2
-PIXELS = (1024, 785)
+LENGTH_M, EACH = 3.0, 2
+SIZE_PX = (768, 1024)
 
 
 def strips(seed: int) -> dict[str, UInt8[np.ndarray, "_ _ 3"]]:
-    """EACH floors of every family, LENGTH_M x WIDTH_M, under even light."""
-    found = {}
-    for name in FAMILIES:
-        if name == "photograph":
-            continue
-        for k in range(EACH):
-            config = CorridorConfig(
-                seed=seed + k, floor=FloorConfig(family=name), robot=RobotConfig(distance_m=LENGTH_M, step_m=1.0)
-            )
-            scene = record(config).scene
-            found[f"{name} {k + 1}"] = from_above(scene, (LENGTH_M / 2, 0.0), LENGTH_M, *PIXELS)
-    return found
+    """EACH floors of every family, LENGTH_M long, of SIZE_PX."""
+    families = [name for name in FAMILIES if name != "photograph"]
+    return {f"{name} {k + 1}": strip(FloorConfig(family=name), seed + k) for name in families for k in range(EACH)}
+
+
+def strip(floor: FloorConfig, seed: int) -> UInt8[np.ndarray, "_ _ 3"]:
+    """The middle of a corridor with such a floor."""
+    plan = plan_of(CorridorConfig(floor=floor, robot=RobotConfig(distance_m=LENGTH_M)))
+    laid = floor_of(plan, floor, key=jax.random.key(seed))
+    height, width = SIZE_PX
+    scale = LENGTH_M / width
+    u, v = jnp.meshgrid(jnp.arange(width, dtype=jnp.float32), jnp.arange(height, dtype=jnp.float32))
+    ground = locate(laid, (u + 0.5) * scale, (height / 2 - 0.5 - v) * scale)
+    by_pixel = jnp.broadcast_to(jnp.array([[scale, 0.0], [0.0, -scale]], jnp.float32), (height, width, 2, 2))
+    linear = np.asarray(look(laid, ground, by_pixel))
+    return np.round(255 * np.clip(linear, 0, 1) ** (1 / GAMMA)).astype(np.uint8)
