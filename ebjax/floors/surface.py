@@ -21,7 +21,8 @@ FAMILIES = {name: f"ebjax.floors.{name}:FAMILY" for name in get_args(FamilyName)
 class Family(NamedTuple):
     """A family's look, what its options are where nobody sets them, and which marks wear leaves on it."""
 
-    reflectance: Callable[..., Float[Array, "*s 3"]]
+    reflectance: Callable[..., Float[Array, "*s C"]]
+    """Three channels of colour; two more where the material looks different from every side (`carpet`)."""
     size_m: float
     joint_m: float
     designs: int
@@ -44,8 +45,9 @@ class FloorConfig:
     """Width of the joints, m; None: the family's own."""
     designs: int | None = None
     """Distinct tiles, slabs or planks, which repeat in a lattice; None: the family's own."""
-    disorder: float = 0.3
-    """Share of elements laid out of the lattice: any design, any orientation that fits."""
+    disorder: float = 1.0
+    """Share of elements laid at random, any design, any orientation that fits, as tilers do; the others follow a lattice
+    in which designs repeat exactly."""
     dirt: float = 1.0
     """Strength of grime and of the elements' differences in shade; 0 makes equal elements equal."""
     wear_per_m2: float = 4.0
