@@ -149,6 +149,8 @@ def floor_of(
       photographs: what the family "photograph" lays.
     """
     own = material(config)
+    if photographs is not None and config.designs is None:
+        own = own._replace(designs=len(photographs))
     floor_key, mark_key, place_key = jax.random.split(key, 3)
     extra = () if photographs is None else (jnp.asarray(photographs, jnp.float32),)
     texel = config.texel_m
@@ -161,10 +163,8 @@ def floor_of(
 
     spans = [(i, k * BLOCK) for i, n in enumerate(plan.lengths) for k in range(_blocks(n, texel))]
     centres = {name: [_local(plan, span, texel, kind.places) for span in spans] for name, kind in marks.items()}
-    near = {
-        name: [_reaches(at, wear.KINDS[name].patch_m / texel, rows) for at in blocks]
-        for name, blocks in centres.items()
-    }
+    reach = {name: wear.KINDS[name].patch_m / texel for name in marks}
+    near = {name: [_reaches(at, reach[name], rows) for at in blocks] for name, blocks in centres.items()}
     # One number of marks for all blocks, and so one program a kind.
     most = {name: 1 << (max(map(len, blocks)) - 1).bit_length() for name, blocks in near.items()}
 
