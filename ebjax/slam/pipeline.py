@@ -62,7 +62,7 @@ class PipelineConfig:
     """Largest distance of matching points on the floor, m."""
     kernel: Literal[
         "cauchy", "none", "huber", "geman-mcclure", "dcs", "tls", "gnc-tls", "gnc-gm", "pcm", "consensus"
-    ] = "cauchy"
+    ] = "consensus"
     """How the pose graph survives false closures among those selected, as in `ebjax.posegraph.solve`."""
     kernel_width: float | None = None
     """Width of that kernel, standard deviations; None is 1, and for those that cut off the 99.9 % point."""
