@@ -72,15 +72,20 @@ class Frames:
 
     def __init__(self, sequence: Sequence):
         self.sequence = sequence
-        self.broken: dict[str, str] = {}
+        self._faults: dict[int, str] = {}
 
     def load(self, k: int):
         """RGB and depth of frame k, or None."""
         try:
             return self.sequence.rgb(k), self.sequence.depth(k) if self.sequence.has_depth else None
         except BrokenFrame as fault:
-            self.broken[self.sequence.names[k]] = " ".join(str(fault).split())
+            self._faults[k] = " ".join(str(fault).split())
             return None
+
+    @property
+    def broken(self) -> dict[str, str]:
+        """What is wrong with the frames that could not be read, by name, in the order of the run."""
+        return {self.sequence.names[k]: self._faults[k] for k in sorted(self._faults)}
 
 
 def main(config: Config) -> None:
@@ -198,7 +203,7 @@ def run_metrics(sequence: Sequence, frames: Frames, result: Result, centre_m: np
         "frames": len(sequence),
         "keyframes": len(result.keyframes),
         "travelled_m": round(travelled, 3),
-        "broken_frames": dict(frames.broken),
+        "broken_frames": frames.broken,
         "frames_without_odometry": dict(sequence.dropped),
         "candidates": len(candidates.i),
         "closures_kept": int(kept.sum()),
