@@ -33,7 +33,12 @@ def build(image: Float[Array, "H W C"], levels: int = 8) -> Mipmap:
     pyramid = [image]
     for _ in range(levels - 1):
         h, w, _ = pyramid[-1].shape
-        pyramid.append(pyramid[-1].reshape(h // 2, 2, w // 2, 2, channels).mean(axis=(1, 3)))
+        mean = (
+            pyramid[-1]
+            .reshape(h // 2, 2, w // 2, 2, channels)
+            .mean(axis=(1, 3), dtype=jnp.promote_types(image.dtype, jnp.float32))
+        )
+        pyramid.append(mean.astype(image.dtype))
     return Mipmap(jnp.concatenate([p.reshape(-1, channels) for p in pyramid]), height, width, levels)
 
 
@@ -50,7 +55,7 @@ def _bilinear(mip: Mipmap, points: Float[Array, "*s 2"], level: Int[Array, "*s"]
     top, bottom = start + row * width, start + jnp.minimum(row + 1, height - 1) * width
 
     def texel(index: Int[Array, "*s"]) -> Float[Array, "*s C"]:
-        return mip.texels.at[index].get(mode="promise_in_bounds")
+        return mip.texels.at[index].get(mode="promise_in_bounds").astype(points.dtype)
 
     upper = texel(top + column) * (1 - fx) + texel(top + right) * fx
     lower = texel(bottom + column) * (1 - fx) + texel(bottom + right) * fx

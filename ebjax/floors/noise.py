@@ -5,6 +5,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
 
+def stretch(points: Float[Array, "*s 2"], x: float, y: float) -> Float[Array, "*s 2"]:
+    """(x, y) times two factors: noise of stretched points is long where the factor is small."""
+    return jnp.stack([x * points[..., 0], y * points[..., 1]], axis=-1)
+
+
 def gradient_noise(points: Float[Array, "*s 2"], *, key: Key[Array, ""], period: int = 64) -> Float[Array, "*s"]:
     """Perlin noise: gradients at integer points blended by a quintic; zero mean, roughly within +-0.7, periodic.
 

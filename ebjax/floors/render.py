@@ -1,32 +1,28 @@
-"""Casts one ray a pixel on the planes of a corridor: linear radiance and depth of what a pinhole camera sees.
+"""Casts one ray a pixel on a plan's planes, boxes and posts: linear radiance and depth of what a pinhole camera sees.
 
 Texture is filtered by footprint, the edges of doors and skirting by box coverage: one ray a pixel does not alias.
-Differentiable in the camera, the pose, the light and the floor's texels.
+Differentiable in the camera, the pose, the light and the floor's texels; `vmap` over poses renders a batch.
 """
 
 import dataclasses
+import typing
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from ebjax.floors import mipmap
-from ebjax.floors.corridor import (
-    CEILING,
-    CEILING_M,
-    LAMP_SPACING_M,
-    Corridor,
-    corner_shade,
-    lamps,
-    nearest_wall,
-    wall_colour,
-)
+from ebjax.floors import atlas
+from ebjax.floors.obstacles import Boxes, Posts, see_boxes, see_posts, shade_by_boxes, shade_by_posts
+from ebjax.floors.scene import CEILING_M, LAMP_SPACING_M, Scene, ceiling, covered, lamps, nearest_wall, wall_colour
 from ebjax.geometry.camera import Camera
 
 LAMP_RADIANCE = 3.0
+SUN_SPACING_M, SUN_WIDTH_M, SUN_SLANT = 3.1, 0.9, 0.6
 Component = Float[Array, "H W"]
 
 
+# Unchecked at run time: vmap and tree_map rebuild the node with batched or placeholder leaves.
+@typing.no_type_check
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Light:
@@ -36,10 +32,24 @@ class Light:
     """Radiance of a white floor, per channel."""
     contrast: Float[Array, "*lights"]
     """Depth of the pools of light under the lamps, 0 to 1."""
-    slope: Float[Array, "*lights"]
-    """Relative growth of the light along x, 1/m: daylight from one end."""
+    slope: Float[Array, "*lights 2"]
+    """Relative growth of the light along x and y, 1/m: daylight from one end."""
     gloss: Float[Array, "*lights"]
-    """Strength of the lamps' mirror image in the floor, 0 to 1."""
+    """Strength of the mirror image of lamps and windows in the floor, 0 to 1."""
+    sun: Float[Array, "*lights"]
+    """Radiance that the sun adds where it shines through windows onto the floor."""
+    sun_shift: Float[Array, "*lights"]
+    """Where along the corridors it does, m."""
+
+
+@typing.no_type_check
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Passers:
+    """What moves from frame to frame."""
+
+    boxes: Boxes
+    posts: Posts
 
 
 def _footprint(
@@ -51,37 +61,48 @@ def _footprint(
 
 
 def _walls(
-    corridor: Corridor, ray: list[Component], steps: list[Float[Array, "3"]], origin: Float[Array, "3"]
+    scene: Scene, ray: list[Component], steps: list[Float[Array, "3"]], origin: Float[Array, "3"]
 ) -> tuple[Float[Array, "H W 3"], Component]:
     """Reflectance of the nearest wall along every ray, and its depth."""
-    hit = nearest_wall(corridor.walls, ray, origin)
+    hit = nearest_wall(scene.walls, ray, origin)
     ex, ey = hit.direction[..., 0], hit.direction[..., 1]
     by_u, by_v = _footprint(hit.t, ray, steps, [-ey, ex, 0.0], hit.normal_ray)
     wide = jnp.abs(ex * by_u[0] + ey * by_u[1]) + jnp.abs(ex * by_v[0] + ey * by_v[1]) + 1e-6
     tall = jnp.abs(by_u[2]) + jnp.abs(by_v[2]) + 1e-6
-    doors = corridor.doors[hit.wall]
-    colour = wall_colour(hit.along, origin[2] + hit.t * ray[2], wide, tall, hit.length, doors[..., 0], doors[..., 1])
+    doors, plaster = scene.doors[hit.wall], scene.wall_colours[hit.wall]
+    height = origin[2] + hit.t * ray[2]
+    colour = wall_colour(plaster, hit.along, height, wide, tall, hit.length, doors[..., 0], doors[..., 1])
     return colour * (0.85 + 0.15 * jnp.abs(ex))[..., None], hit.t
 
 
-def _mirrored_lamps(x: Component, y: Component, ray: list[Component], up: Component) -> Component:
-    """What the glazed floor at (x, y) mirrors of the lamps; Fresnel (Schlick) makes it grow with distance."""
+def _mirrored_lamps(along: Component, across: Component, step: list[Component], up: Component) -> Component:
+    """What the glossy floor mirrors of the lamps; Fresnel (Schlick) makes it grow with distance."""
     climb = CEILING_M / up
-    cosine = up / jnp.sqrt(ray[0] ** 2 + ray[1] ** 2 + up**2)
+    cosine = up / jnp.sqrt(step[0] ** 2 + step[1] ** 2 + up**2)
     fresnel = 0.04 + 0.96 * (1 - cosine) ** 5
-    return LAMP_RADIANCE * fresnel * lamps(x + climb * ray[0], y + climb * ray[1], 0.03 + 0.02 * climb)
+    return LAMP_RADIANCE * fresnel * lamps(along + climb * step[0], across + climb * step[1], 0.03 + 0.02 * climb)
+
+
+def _sun(along: Component, across: Component, footprint: Component, light: Light) -> Component:
+    """Share of a point in the sun: slanted patches through windows with a bar in the middle."""
+    x = along + SUN_SLANT * across - light.sun_shift
+    x = x - SUN_SPACING_M * jnp.round(x / SUN_SPACING_M)
+    blur = footprint + 0.02
+    pane = covered(jnp.abs(x), 0.03, SUN_WIDTH_M / 2, blur)
+    return pane * covered(across, -0.75, 0.35, blur)
 
 
 def render(
-    corridor: Corridor, camera: Camera, world_from_base: Float[Array, "4 4"], light: Light
+    scene: Scene, camera: Camera, world_from_base: Float[Array, "4 4"], light: Light, passers: Passers
 ) -> tuple[Float[Array, "H W 3"], Float[Array, "H W"]]:
     """Radiance of every pixel and the depth of what it sees, world point = t + depth R K^-1 (x, y, 1).
 
     Args:
-      corridor: walls, doors and floor.
+      scene: walls, doors, floor, furniture.
       camera: its pose is relative to the base.
       world_from_base: the robot; its camera must lie within the walls.
       light: of this traverse.
+      passers: people and carts, where they are now.
 
     Returns:
       Linear RGB, and the distance along the optical axis in metres (infinite where no surface is hit).
@@ -96,23 +117,36 @@ def render(
     down = ray[2] < 0
     upright = jnp.where(jnp.abs(ray[2]) < 1e-9, 1e-9, ray[2])
     t_level = jnp.where(down, -origin[2], CEILING_M - origin[2]) / upright
-    plaster, t_wall = _walls(corridor, ray, steps, origin)
+    plaster, t_wall = _walls(scene, ray, steps, origin)
     is_level = t_level <= t_wall
     is_floor: Bool[Array, "H W"] = is_level & down
 
-    # Rays that miss the floor are given a harmless one, so that no gradient is NaN.
-    t, up = jnp.where(is_floor, t_level, 1.0), jnp.where(is_floor, -ray[2], 1.0)
+    # Rays that miss floor and ceiling are given a harmless one, so that no gradient is NaN.
+    t, up = jnp.where(is_level, t_level, 1.0), jnp.where(is_level, jnp.abs(ray[2]), 1.0)
     x, y = origin[0] + t * ray[0], origin[1] + t * ray[1]
-    by_pixel = jnp.stack([jnp.stack(d[:2], axis=-1) for d in _footprint(t, ray, steps, [0.0, 0.0, 1.0], -up)], axis=-2)
-    texel = jnp.stack([x - corridor.floor_origin[0], y - corridor.floor_origin[1]], axis=-1) / corridor.texel_m - 0.5
-    floor = mipmap.sample_anisotropic(corridor.floor, texel, by_pixel / corridor.texel_m)
-    floor = floor * corner_shade(corridor.walls, x, y)[..., None]
+    ground = atlas.locate(scene.floor, x, y)
+    by_u, by_v = _footprint(t, ray, steps, [0.0, 0.0, 1.0], jnp.where(down, -up, up))
+    by_pixel = jnp.stack([jnp.stack(by_u[:2], axis=-1), jnp.stack(by_v[:2], axis=-1)], axis=-2)
+    c, s = ground.direction[..., 0], ground.direction[..., 1]
+    step = [c * ray[0] + s * ray[1], c * ray[1] - s * ray[0]]
+    size = (jnp.abs(by_u[0]) + jnp.abs(by_u[1]) + jnp.abs(by_v[0]) + jnp.abs(by_v[1])) / 2
 
-    level = jnp.where(down[..., None], floor, jnp.array(CEILING, pose.dtype)[None, None, :])
-    colour = jnp.where(is_level[..., None], level, plaster)
+    floor = atlas.look(scene.floor, ground, by_pixel)
+    shade = (1 - 0.3 * jnp.exp(-ground.clearance / 0.12)) * shade_by_posts(passers.posts, x, y)
+    shade = shade * shade_by_boxes(scene.furniture, x, y) * shade_by_boxes(passers.boxes, x, y)
+    floor = floor * shade[..., None]
+    floor = floor * (1 + light.sun * _sun(ground.along, ground.across, size, light))[..., None]
+    above = ceiling(ground.along, ground.across, size, LAMP_RADIANCE)
+    colour = jnp.where(is_level[..., None], jnp.where(down[..., None], floor, above), plaster)
+
     depth = jnp.where(is_level, t_level, t_wall)
-    hit_x = origin[0] + jnp.where(jnp.isfinite(depth), depth, 0.0) * ray[0]
-    pools = 1 + light.contrast * jnp.cos(2 * jnp.pi * hit_x / LAMP_SPACING_M)
-    shade = pools * jnp.maximum(1 + light.slope * hit_x, 0.1)
-    glare = jnp.where(is_floor, light.gloss * _mirrored_lamps(x, y, ray, up), 0.0)
-    return (colour * shade[..., None] + glare[..., None]) * light.level[None, None, :], depth
+    hit_x, hit_y = (origin[i] + jnp.where(jnp.isfinite(depth), depth, 0.0) * ray[i] for i in (0, 1))
+    wave = 2 * jnp.pi / LAMP_SPACING_M
+    pools = 1 + light.contrast * (0.7 * jnp.cos(wave * hit_x) + 0.3 * jnp.cos(wave * hit_y))
+    colour = colour * (pools * jnp.maximum(1 + light.slope[0] * hit_x + light.slope[1] * hit_y, 0.1))[..., None]
+    glare = light.gloss * _mirrored_lamps(ground.along, ground.across, step, up)
+    colour = colour + jnp.where(is_floor, glare, 0.0)[..., None]
+    for boxes in (scene.furniture, passers.boxes):
+        depth, colour = see_boxes(boxes, ray, origin, depth, colour)
+    depth, colour = see_posts(passers.posts, ray, origin, depth, colour)
+    return colour * light.level[None, None, :], depth

@@ -27,6 +27,15 @@ class SensorConfig:
     """Share of pixels without depth."""
     max_depth_m: float = 9.0
     """Farther surfaces have no depth, m."""
+    shutter_s: float = 0.0
+    """How long the shutter is open, s: what moves meanwhile is blurred."""
+
+
+def check(config: SensorConfig) -> None:
+    """Raises ValueError that names the key which no sensor can have."""
+    for field in dataclasses.fields(config):
+        if not getattr(config, field.name) >= 0:
+            raise ValueError(f"sensor.{field.name} is {getattr(config, field.name)}: needs a value of 0 or more")
 
 
 def colour_image(

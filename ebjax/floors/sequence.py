@@ -1,4 +1,4 @@
-"""A synthetic run: a robot drives out and back along a tiled corridor with a camera and drifting wheels.
+"""A synthetic run: a robot drives the corridors of a plan with a camera and drifting wheels.
 
 `record` makes everything but the images at once; the images come one by one, from any thread, each a pure function of
 the seed and its index. Nothing is written here.
@@ -13,77 +13,76 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key, UInt8, UInt16
 
-from ebjax.floors import robot, sensor, tiles
-from ebjax.floors.corridor import Corridor, straight_corridor
-from ebjax.floors.render import Light, render
+from ebjax.floors import atlas, cameras, passers, robot, sensor, surface
+from ebjax.floors.cameras import CameraConfig, carried, make_camera
+from ebjax.floors.furniture import furnish
+from ebjax.floors.passers import PassersConfig
+from ebjax.floors.plan import Plan, PlanConfig, make_plan, polyline
+from ebjax.floors.render import Light, Passers, render
 from ebjax.floors.robot import RobotConfig
+from ebjax.floors.scene import Scene, make_scene
 from ebjax.floors.sensor import SensorConfig
-from ebjax.floors.tiles import TileConfig
-from ebjax.geometry.camera import Camera, camera_over_floor
+from ebjax.floors.surface import FloorConfig
+from ebjax.geometry.camera import Camera
 
 Frame = tuple[UInt8[np.ndarray, "H W 3"], UInt16[np.ndarray, "H W"]]
-
-
-@dataclasses.dataclass(frozen=True)
-class CameraConfig:
-    """A forward camera on the robot (the defaults: a RealSense D435 on a P3DX)."""
-
-    focal_px: float = 615.0
-    """Focal length, px."""
-    width: int = 640
-    """Image width, px; the optical axis pierces the middle."""
-    height: int = 480
-    """Image height, px."""
-    height_m: float = 0.54
-    """Above the floor, m."""
-    x_m: float = 0.27
-    """Ahead of the wheels' axis, m."""
-    pitch_deg: float = 19.0
-    """Downward tilt, degrees."""
+SHUTTER_TAPS = 3
 
 
 @dataclasses.dataclass(frozen=True)
 class CorridorConfig:
-    """A straight corridor of tiles, driven out and back under two lights."""
+    """Corridors with one kind of floor, driven there and back under changing light."""
 
     seed: int = 0
     """Everything random follows from it."""
-    width_m: float = 2.4
-    """Between the walls, m."""
-    margin_m: float = 2.0
-    """From either end of the path to the end wall, m."""
-    door_spacing_m: float = 2.4
-    """Between identical doors, m."""
     light_change: float = 0.35
-    """How much darker the way back is, 0 to 1; its colour, its daylight and its exposure differ in proportion."""
-    gloss: float = 0.15
-    """Mirror image of the lamps in the floor, 0 to 1."""
-    floor: TileConfig = dataclasses.field(default_factory=TileConfig)
+    """How much the light of later passes differs from the first's, 0 to 1: level, colour, daylight, exposure."""
+    gloss: float | None = None
+    """Mirror image of the lamps in the floor, 0 to 1; None: that of the floor's family."""
+    sun: float = 0.0
+    """Sunlight through windows onto the floor, times the lamps' light; on some passes more, on others less."""
+    landmarks_per_m: float = 0.0
+    """Furniture and pictures a metre of wall, and walls of different colours; 0 leaves corridors bare."""
+    floor: FloorConfig = dataclasses.field(default_factory=FloorConfig)
+    plan: PlanConfig = dataclasses.field(default_factory=PlanConfig)
     robot: RobotConfig = dataclasses.field(default_factory=RobotConfig)
     camera: CameraConfig = dataclasses.field(default_factory=CameraConfig)
+    passers: PassersConfig = dataclasses.field(default_factory=PassersConfig)
     sensor: SensorConfig = dataclasses.field(default_factory=SensorConfig)
 
 
 def check(config: CorridorConfig) -> None:
-    """Raises ValueError that names the key which no corridor can have, and what it needs."""
-    tiles.check(config.floor)
-    robot.check(config.robot)
-    for name in ("focal_px", "width", "height", "height_m"):
-        if not getattr(config.camera, name) > 0:
-            raise ValueError(f"camera.{name} is {getattr(config.camera, name)}: needs a value above 0")
+    """Raises ValueError that names the key which no world can have, and what it needs."""
+    for room, part in ((surface, config.floor), (robot, config.robot), (cameras, config.camera)):
+        room.check(part)  # type: ignore[attr-defined]
+    passers.check(config.passers)
+    sensor.check(config.sensor)
     for name in ("width_m", "margin_m", "door_spacing_m"):
-        if not getattr(config, name) > 0:
-            raise ValueError(f"{name} is {getattr(config, name)}: needs a value above 0")
+        if not getattr(config.plan, name) > 0:
+            raise ValueError(f"plan.{name} is {getattr(config.plan, name)}: needs a value above 0")
     for name in ("light_change", "gloss"):
-        if not 0 <= getattr(config, name) <= 1:
-            raise ValueError(f"{name} is {getattr(config, name)}: needs a value from 0 to 1")
-    if config.margin_m <= config.camera.x_m:
-        raise ValueError(
-            f"margin_m is {config.margin_m}: the camera, camera.x_m = {config.camera.x_m}, would be in the wall"
-        )
+        value = getattr(config, name)
+        if value is not None and not 0 <= value <= 1:
+            raise ValueError(f"{name} is {value}: needs a value from 0 to 1")
+    for name in ("sun", "landmarks_per_m"):
+        if not getattr(config, name) >= 0:
+            raise ValueError(f"{name} is {getattr(config, name)}: needs a value of 0 or more")
+    x_m = carried(config.camera).x_m
+    if config.plan.margin_m <= x_m:
+        raise ValueError(f"plan.margin_m is {config.plan.margin_m}: the camera, {x_m} m ahead, would be in the wall")
     needed = 2 * (abs(config.robot.lateral_offset_m) + config.robot.weave_m + 0.1)
-    if config.width_m < needed:
-        raise ValueError(f"width_m is {config.width_m}: the robot's path needs {needed:.2f}")
+    if config.plan.width_m < needed:
+        raise ValueError(f"plan.width_m is {config.plan.width_m}: the robot's path needs {needed:.2f}")
+
+
+def plan_of(config: CorridorConfig) -> Plan:
+    """The plan; by default one corridor along the robot's route.
+
+    Raises:
+      ValueError: a polyline that is none; names the key.
+    """
+    lines = [polyline(text, f"plan.corridors[{i}]") for i, text in enumerate(config.plan.corridors)]
+    return make_plan(lines or [robot.route(config.robot)], config.plan.width_m, config.plan.margin_m)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -96,6 +95,7 @@ class Recording:
       odom_from_base: what the wheels counted; starts at the identity.
       camera: float32.
       frame: index -> (RGB, depth in mm with 0 = missing); safe to call from several threads.
+      scene: the world that is seen.
     """
 
     timestamps: Float[np.ndarray, " N"]
@@ -103,29 +103,15 @@ class Recording:
     odom_from_base: Float[np.ndarray, "N 4 4"]
     camera: Camera
     frame: Callable[[int], Frame]
+    scene: Scene
 
     def __len__(self) -> int:
         """Returns the number of frames."""
         return len(self.timestamps)
 
 
-def make_corridor(config: CorridorConfig, *, key: Key[Array, ""]) -> Corridor:
-    """The corridor around the path x in [0, distance]."""
-    x_min, x_max = -config.margin_m, config.robot.distance_m + config.margin_m
-    texture = tiles.tile_floor(x_max - x_min, config.width_m, config.floor, key=key)
-    return straight_corridor(x_min, x_max, config.width_m, config.door_spacing_m, texture, config.floor.texel_m)
-
-
-def make_camera(config: CameraConfig) -> Camera:
-    """The camera in float32."""
-    numbers = (config.focal_px, config.focal_px, config.width / 2, config.height / 2)
-    camera = camera_over_floor(
-        *numbers, config.width, config.height, config.height_m, float(np.radians(config.pitch_deg)), x_m=config.x_m
-    )
-    return jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), camera)
-
-
-def _planar(poses: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 4 4"]:
+def planar(poses: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 4 4"]:
+    """(x, y, heading) as matrices."""
     matrices = np.tile(np.eye(4), (len(poses), 1, 1))
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 0], matrices[:, 1, 1] = c, -s, s, c
@@ -133,19 +119,34 @@ def _planar(poses: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 4 4"]:
     return matrices
 
 
-def _lights(config: CorridorConfig) -> Light:
-    """The light of the way out and of the way back, stacked."""
-    change = config.light_change
-    return Light(
-        level=jnp.array([[1.0, 0.98, 0.94], [1 - change, (1 - 0.95 * change), (1 - 0.85 * change)]], jnp.float32),
-        contrast=jnp.array([0.12, 0.12 + 0.3 * change], jnp.float32),
-        slope=jnp.array([0.0, -0.06 * change], jnp.float32),
-        gloss=jnp.full(2, config.gloss, jnp.float32),
+def lights(config: CorridorConfig, rng: np.random.Generator) -> Light:
+    """The light of every pass, stacked: the first as it should be, the others darker, tinted, from another side."""
+    passes, change = config.robot.passes, config.light_change
+    by = np.where(np.arange(passes) > 0, rng.uniform(0.7, 1.0, passes), 0.0) * change
+    gloss = surface.family(config.floor.family).gloss if config.gloss is None else config.gloss
+    sun = config.sun * np.where(np.arange(passes) % 2, rng.uniform(0.3, 1.0, passes), 1.0)
+    columns = (
+        np.array([1.0, 0.98, 0.94]) * (1 - by[:, None] * np.array([1.0, 0.95, 0.85])),
+        0.12 + 0.3 * by,
+        0.06 * by[:, None] * rng.uniform(-1, 1, (passes, 2)),
+        np.full(passes, gloss),
+        sun,
+        np.cumsum(np.append(0.0, rng.uniform(0.4, 2.4, passes - 1))),
     )
+    return Light(*(jnp.asarray(column, jnp.float32) for column in columns))
 
 
 # Two programs: in one, XLA casts the rays again for the noise.
 _see = jax.jit(render)
+
+
+@jax.jit
+def _see_blurred(
+    scene: Scene, camera: Camera, world_from_base: Float[Array, "K 4 4"], light: Light, passing: Passers
+) -> tuple[Float[Array, "H W 3"], Float[Array, "H W"]]:
+    """Mean radiance over the poses of an open shutter; the depth is that of the middle one."""
+    radiance, depth_m = jax.lax.map(lambda pose: render(scene, camera, pose, light, passing), world_from_base)
+    return radiance.mean(axis=0), depth_m[len(world_from_base) // 2]
 
 
 @partial(jax.jit, static_argnames="config")
@@ -163,8 +164,26 @@ def _expose(
     return image, sensor.depth_image(depth_m, config, key=depth_key)
 
 
-def record(config: CorridorConfig) -> Recording:
-    """Lays the floor, drives the path and compiles the camera: a few seconds.
+def check_inside(config: CorridorConfig, plan: Plan, poses: Float[np.ndarray, "N 3"]) -> None:
+    """Raises ValueError where robot or camera would be outside the corridors."""
+    x_m = carried(config.camera).x_m
+    points = poses[:, :2] + x_m * np.stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])], axis=1)
+    # Within the robot's half width of a wall at its wheels; the camera may come closer in a turn.
+    kept = plan.inside(poses[:, :2], 0.2).any(axis=0) & plan.inside(points, 0.05).any(axis=0)
+    if not kept.all():
+        x, y = poses[np.argmin(kept), :2]
+        raise ValueError(
+            f"robot.route is {config.robot.route!r}: leaves the corridors at ({x:.1f}, {y:.1f}); "
+            "correct it, plan.corridors or robot.lateral_offset_m"
+        )
+
+
+def record(config: CorridorConfig, photographs: Float[np.ndarray, "N n n 3"] | None = None) -> Recording:
+    """Lays the floor, drives the route and compiles the camera: some seconds, more for long corridors.
+
+    Args:
+      config: the world, the robot and its camera.
+      photographs: linear reflectance, what the floor family "photograph" lays.
 
     Raises:
       ValueError: a value that no corridor, robot or camera can have; names the key.
@@ -172,16 +191,29 @@ def record(config: CorridorConfig) -> Recording:
     check(config)
     floor_key, image_key = jax.random.split(jax.random.key(config.seed))
     rng = np.random.default_rng(config.seed)
-    poses = robot.out_and_back(config.robot, rng)
+    poses, passes = robot.drive(config.robot, rng)
+    plan = plan_of(config)
+    check_inside(config, plan, poses)
     odometry = robot.wheel_odometry(poses, config.robot, rng)
     exposure = np.exp(rng.normal(0.0, 0.03, len(poses))).astype(np.float32)
-    world_from_base = _planar(poses)
-    camera, lights, corridor = make_camera(config.camera), _lights(config), make_corridor(config, key=floor_key)
-    returning = (np.cos(poses[:, 2]) < 0).astype(np.int32)
+    world_from_base = planar(poses)
+    camera, of_pass = make_camera(config.camera), lights(config, rng)
+    furniture, paints = furnish(plan, config.landmarks_per_m, rng)
+    walks = passers.plan_walks(poses, config.robot.frame_s, config.plan.width_m / 2, config.passers, rng)
+    floor = atlas.floor_of(plan, config.floor, key=floor_key, photographs=photographs)
+    scene = make_scene(plan, floor, config.plan.door_spacing_m, furniture, paints)
+    shift = config.sensor.shutter_s / config.robot.frame_s * np.linspace(-0.5, 0.5, SHUTTER_TAPS)
 
     def frame(i: int) -> Frame:
-        light = jax.tree.map(lambda leaf: leaf[returning[i]], lights)
-        radiance, depth_m = _see(corridor, camera, jnp.asarray(world_from_base[i], jnp.float32), light)
+        light = jax.tree.map(lambda leaf: leaf[int(passes[i])], of_pass)
+        passing = passers.at_frame(walks, poses, i)
+        if config.sensor.shutter_s > 0:
+            velocity = (poses[min(i + 1, len(poses) - 1)] - poses[max(i - 1, 0)]) / 2
+            moments = planar(poses[i] + shift[:, None] * velocity)
+            radiance, depth_m = _see_blurred(scene, camera, jnp.asarray(moments, jnp.float32), light, passing)
+        else:
+            pose = jnp.asarray(world_from_base[i], jnp.float32)
+            radiance, depth_m = _see(scene, camera, pose, light, passing)
         key = jax.random.fold_in(image_key, i)
         image, depth = _expose(radiance, depth_m, jnp.asarray(exposure[i]), camera, config.sensor, key=key)
         return np.asarray(image), np.asarray(depth)
@@ -189,4 +221,4 @@ def record(config: CorridorConfig) -> Recording:
     # Compiled here, once, so that threads need not race to do it.
     frame(0)
     timestamps = 1000.0 + config.robot.frame_s * np.arange(len(poses))
-    return Recording(timestamps, world_from_base, _planar(odometry), camera, frame)
+    return Recording(timestamps, world_from_base, planar(odometry), camera, frame, scene)

@@ -1,14 +1,18 @@
-"""What makes one square metre of floor unlike the next: stains, cracks, scratches and chips, painted over the tiles.
+"""What makes one square metre of floor unlike the next: stains, cracks, scratches, chips, gum, repairs.
 
-A mark is a pure function (key, grid of its patch, m) -> (opacity, colour); `KINDS` names it, its patch and its share.
+A mark is a pure function (key, grid of its patch, m) -> (opacity, colour); `KINDS` names it and its patch. Marks lie in
+the world: `scatter` places them, `paint` brings those that reach into a patch of floor onto it, whatever its frame.
 """
 
-from collections.abc import Callable
+import itertools
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Key
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, Key
 
 from ebjax.floors.noise import fractal_noise
 
@@ -16,11 +20,10 @@ Painted = tuple[Float[Array, "P Q"], Float[Array, "3"]]
 
 
 class Kind(NamedTuple):
-    """How a mark is painted, the side of the patch that holds it (m), and its share of all marks."""
+    """How a mark is painted, and the side of the patch that holds it, m."""
 
     paint: Callable[..., Painted]
     patch_m: float
-    share: float
 
 
 def _uniform(key: Key[Array, ""], low: float, high: float, like: Float[Array, "..."]) -> Float[Array, ""]:
@@ -98,44 +101,119 @@ def chip(key: Key[Array, ""], grid: Float[Array, "P Q 2"]) -> Painted:
     return 0.9 * jax.nn.sigmoid(-distance / 0.001), _grey(tint, 0.04, 0.5, grid)
 
 
+def gum(key: Key[Array, ""], grid: Float[Array, "P Q 2"]) -> Painted:
+    """A trodden blob of chewing gum or a drop of paint: round, opaque, dark."""
+    shape, size, tint = jax.random.split(key, 3)
+    distance = _blob(shape, grid, _uniform(size, 0.008, 0.022, grid), 0.35)
+    return 0.8 * jax.nn.sigmoid(-distance / 0.0015), _grey(tint, 0.03, 0.12, grid)
+
+
+def repair(key: Key[Array, ""], grid: Float[Array, "P Q 2"]) -> Painted:
+    """A filled hole or trench: a ragged rectangle of another grey with a darker rim."""
+    shape, sides, turn, tint, depth = jax.random.split(key, 5)
+    angle, half = _uniform(turn, 0.0, jnp.pi, grid), jax.random.uniform(sides, (2,), grid.dtype, 0.05, 0.17)
+    c, s = jnp.cos(angle), jnp.sin(angle)
+    local = jnp.stack([c * grid[..., 0] + s * grid[..., 1], c * grid[..., 1] - s * grid[..., 0]], axis=-1)
+    outside = jnp.max(jnp.abs(local) - half[None, None, :], axis=-1)
+    distance = outside + 0.012 * fractal_noise(grid / 0.03, key=shape, octaves=3)
+    rim = 0.35 * jnp.exp(-((distance / 0.004) ** 2))
+    opacity = _uniform(depth, 0.45, 0.85, grid) * jax.nn.sigmoid(-distance / 0.0015)
+    return jnp.clip(opacity + rim, 0, 1), _grey(tint, 0.12, 0.5, grid)
+
+
 KINDS = {
-    "stain": Kind(stain, 0.36, 0.35),
-    "crack": Kind(crack, 0.40, 0.15),
-    "scratch": Kind(scratch, 0.44, 0.2),
-    "chip": Kind(chip, 0.06, 0.3),
+    "stain": Kind(stain, 0.36),
+    "crack": Kind(crack, 0.40),
+    "scratch": Kind(scratch, 0.44),
+    "chip": Kind(chip, 0.06),
+    "gum": Kind(gum, 0.08),
+    "repair": Kind(repair, 0.56),
 }
 
 
-def paint(
-    floor: Float[Array, "H W 3"], marks_per_m2: float, texel_m: float, *, key: Key[Array, ""]
-) -> Float[Array, "H W 3"]:
-    """Paints marks at uniformly random places, one after another; density 0 leaves the floor as it is.
+class Marks(NamedTuple):
+    """All marks of one kind: where they lie in the world, m, and which key each has."""
+
+    places: Float[np.ndarray, "N 2"]
+    numbers: Int[np.ndarray, " N"]
+
+
+def scatter(
+    owns: Callable[[int, np.ndarray], np.ndarray],
+    origins: Float[np.ndarray, "S 2"],
+    directions: Float[np.ndarray, "S 2"],
+    sizes: Float[np.ndarray, "S 2"],
+    per_m2: float,
+    shares: Mapping[str, float],
+    rng: np.random.Generator,
+) -> dict[str, Marks]:
+    """Uniformly random places on rectangles that may overlap; where they do, the first one owns the floor.
 
     Args:
-      floor: linear reflectance.
-      marks_per_m2: expected number of marks of all kinds.
+      owns: (rectangle, points) -> whether the points are its own.
+      origins: corner of each rectangle, world, m.
+      directions: unit vector along its length.
+      sizes: length and width, m.
+      per_m2: expected marks of all kinds.
+      shares: of each kind.
+      rng: of numbers and places.
+    """
+    places = []
+    for i, (origin, direction, size) in enumerate(zip(origins, directions, sizes, strict=True)):
+        local = rng.uniform(size=(rng.poisson(per_m2 * size.prod()), 2)) * size
+        points = origin + local[:, :1] * direction + local[:, 1:] * np.array([-direction[1], direction[0]])
+        places.append(points[owns(i, points)])
+    everywhere = np.concatenate(places)
+    kind = rng.uniform(size=len(everywhere))
+    bounds = np.concatenate([[0.0], np.cumsum(list(shares.values()))])
+    numbers = np.arange(len(everywhere))
+    of_kind = [(kind >= low) & (kind < high) for low, high in itertools.pairwise(bounds)]
+    return {name: Marks(everywhere[own], numbers[own]) for name, own in zip(shares, of_kind, strict=True)}
+
+
+@partial(jax.jit, static_argnames=("kind", "texel_m"))
+def paint(
+    floor: Float[Array, "H W 3"],
+    kind: str,
+    centres: Float[Array, "N 2"],
+    numbers: Int[Array, " N"],
+    valid: Bool[Array, " N"],
+    direction: Float[Array, "2"],
+    strength: Float[Array, ""],
+    texel_m: float,
+    *,
+    key: Key[Array, ""],
+) -> Float[Array, "H W 3"]:
+    """Paints marks of one kind one after another; those beyond the border are cut there.
+
+    Args:
+      floor: linear reflectance, columns along `direction`.
+      kind: name in `KINDS`.
+      centres: of the marks, (column, row), px.
+      numbers: of the marks: what their keys are made of.
+      valid: marks to paint; the others are there to make the number of marks a fixed one.
+      direction: of the columns in the world, a unit vector: marks keep their orientation in the world.
+      strength: of the marks, 0 to 1.
       texel_m: side of a texel.
-      key: of places and shapes.
+      key: of all shapes.
     """
     height, width, _ = floor.shape
-    area_m2 = height * width * texel_m**2
-    for kind_key, kind in zip(jax.random.split(key, len(KINDS)), KINDS.values(), strict=True):
-        count = round(kind.share * marks_per_m2 * area_m2)
-        side = min(round(kind.patch_m / texel_m), height, width)
-        axis = (jnp.arange(side, dtype=floor.dtype) - (side - 1) / 2) * texel_m
-        grid = jnp.stack(jnp.meshgrid(axis, axis), axis=-1)
+    side = round(KINDS[kind].patch_m / texel_m) + 2
+    ticks = jnp.arange(side, dtype=floor.dtype)
 
-        def step(canvas, mark_key, kind=kind, side=side, grid=grid):
-            place, look = jax.random.split(mark_key)
-            # Patches may hang over the border by half: the canvas is padded, so the density stays even up to the walls.
-            row, column = jax.random.randint(place, (2,), 0, jnp.array([height, width]))
-            opacity, colour = kind.paint(look, grid)
-            patch = jax.lax.dynamic_slice(canvas, (row, column, 0), (side, side, 3))
-            patch = patch * (1 - opacity[..., None]) + opacity[..., None] * colour[None, None, :]
-            return jax.lax.dynamic_update_slice(canvas, patch, (row, column, 0)), None
+    def step(canvas, mark):
+        centre, number, is_real = mark
+        corner = jnp.clip(jnp.floor(centre - side / 2), -side, jnp.array([width, height], floor.dtype))
+        u, v = jnp.meshgrid((ticks + corner[0] - centre[0]) * texel_m, (ticks + corner[1] - centre[1]) * texel_m)
+        c, s = direction[0], direction[1]
+        opacity, colour = KINDS[kind].paint(
+            jax.random.fold_in(key, number), jnp.stack([c * u - s * v, s * u + c * v], -1)
+        )
+        share = (is_real * strength * opacity)[..., None]
+        at = (corner[1].astype(jnp.int32) + side, corner[0].astype(jnp.int32) + side, jnp.int32(0))
+        patch = jax.lax.dynamic_slice(canvas, at, (side, side, 3))
+        return jax.lax.dynamic_update_slice(canvas, patch * (1 - share) + share * colour[None, None, :], at), None
 
-        margin = side // 2
-        canvas = jnp.pad(floor, ((margin, side), (margin, side), (0, 0)), mode="edge")
-        canvas, _ = jax.lax.scan(step, canvas, jax.random.split(kind_key, count))
-        floor = canvas[margin : margin + height, margin : margin + width]
-    return floor
+    canvas = jnp.pad(floor, ((side, side), (side, side), (0, 0)))
+    canvas, _ = jax.lax.scan(step, canvas, (centres, numbers, valid))
+    return canvas[side : side + height, side : side + width]

@@ -5,14 +5,23 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from ebjax.floors.corridor import straight_corridor
-from ebjax.floors.render import Light
+from ebjax.floors.atlas import from_strips
+from ebjax.floors.obstacles import Boxes, no_boxes, no_posts
+from ebjax.floors.plan import make_plan
+from ebjax.floors.render import Light, Passers
 from ebjax.floors.render import render as render_eagerly
+from ebjax.floors.scene import make_scene
 from ebjax.geometry.camera import backproject, camera_over_floor, project
 
 X_MIN, X_MAX, WIDTH, TEXEL = -2.0, 8.0, 2.4, 0.02
-render = jax.jit(render_eagerly)
-FLAT = Light(jnp.ones(3), jnp.asarray(0.0), jnp.asarray(0.0), jnp.asarray(0.0))
+NOBODY = Passers(no_boxes(jnp.float64), no_posts(jnp.float64))
+PLAN = make_plan([np.array([[X_MIN + 2, 0.0], [X_MAX - 2, 0.0]])], WIDTH, 2.0)
+FLAT = Light(jnp.ones(3), jnp.asarray(0.0), jnp.zeros(2), jnp.asarray(0.0), jnp.asarray(0.0), jnp.asarray(0.0))
+
+
+@jax.jit
+def render(scene, camera, world_from_base, light, passers=NOBODY):
+    return render_eagerly(scene, camera, world_from_base, light, passers)
 
 
 def pose(x, y, heading):
@@ -27,7 +36,7 @@ def camera(height_m=0.54, pitch=0.33, scale=8):
 
 
 def corridor_of(texture):
-    return straight_corridor(X_MIN, X_MAX, WIDTH, 2.4, texture, TEXEL)
+    return make_scene(PLAN, from_strips([np.asarray(texture)], PLAN, TEXEL, 0, jnp.float64), 2.4, no_boxes(jnp.float64))
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +44,7 @@ def ramps():
     """A floor whose red is x and whose green is y, over a constant blue."""
     rows, columns = round(WIDTH / TEXEL), round((X_MAX - X_MIN) / TEXEL)
     x, y = X_MIN + (np.arange(columns) + 0.5) * TEXEL, -WIDTH / 2 + (np.arange(rows) + 0.5) * TEXEL
-    return corridor_of(jnp.asarray(np.stack([*np.meshgrid(x, y), np.ones((rows, columns))], axis=-1)))
+    return corridor_of(np.stack([*np.meshgrid(x, y), np.ones((rows, columns))], axis=-1))
 
 
 def test_floor_points_land_where_the_camera_projects_them(ramps):
@@ -71,7 +80,7 @@ def test_depth_lifts_every_pixel_onto_a_plane(ramps, heading):
 def test_far_floor_does_not_alias():
     rows, columns = round(WIDTH / TEXEL), round((X_MAX - X_MIN) / TEXEL)
     checker = (np.add.outer(np.arange(rows), np.arange(columns)) % 2).astype(np.float32)
-    flat, grey = (corridor_of(jnp.asarray(np.repeat(t[..., None], 3, -1))) for t in (checker, 0 * checker + 0.5))
+    flat, grey = (corridor_of(np.repeat(t[..., None], 3, -1)) for t in (checker, 0 * checker + 0.5))
     cam = camera(scale=4)
     (seen, depth), (expected, _) = (render(c, cam, pose(-1.0, 0.0, 0.03), FLAT) for c in (flat, grey))
     v = jnp.broadcast_to(jnp.arange(cam.height)[:, None], depth.shape)
@@ -104,13 +113,44 @@ def test_differentiable_in_the_camera_and_the_floor(ramps):
         assert float(found[i]) == pytest.approx(float(brightness(*up) - brightness(*down)) / (2 * eps), rel=1e-5)
 
     def total(texels):
-        corridor = replace(ramps, floor=replace(ramps.floor, texels=texels))
-        return render(corridor, camera(scale=32), pose(2.0, 0.0, 0.1), FLAT)[0].sum()
+        texture = replace(ramps.floor.texture, texels=texels)
+        scene = replace(ramps, floor=replace(ramps.floor, texture=texture))
+        return render(scene, camera(scale=32), pose(2.0, 0.0, 0.1), FLAT)[0].sum()
 
-    by_texel = jax.grad(total)(ramps.floor.texels)
+    texels = ramps.floor.texture.texels
+    by_texel = jax.grad(total)(texels)
     assert jnp.all(jnp.isfinite(by_texel)) and by_texel.sum() > 0
+    # Linear in the floor: the gradient is exact for a step of any size.
+    step = jnp.asarray(np.random.default_rng(0).normal(size=texels.shape))
+    np.testing.assert_allclose(total(texels + step) - total(texels), jnp.vdot(by_texel, step), rtol=1e-8)
+
+
+def test_a_batch_is_the_frames_one_by_one(ramps):
+    poses = jnp.stack([pose(1.0, 0.2, 0.1), pose(3.0, -0.2, 3.0)])
+    cam = camera(scale=16)
+    together = jax.jit(jax.vmap(lambda p: render_eagerly(ramps, cam, p, FLAT, NOBODY)))(poses)
+    for i, one in enumerate(poses):
+        for batched, single in zip(together, render(ramps, cam, one, FLAT), strict=True):
+            np.testing.assert_allclose(batched[i], single, atol=1e-9)
+
+
+def test_passers_hide_the_floor_at_their_own_depth(ramps):
+    table = [[3.0, 0.0]], [[1.0, 0.0]], [[0.2, 0.5]], [0.0], [0.8], [[[0.1, 0.1, 0.1], [0.2, 0.2, 0.2]]], [0.3]
+    cart = Passers(Boxes(*(jnp.asarray(n, jnp.float64) for n in table)), NOBODY.posts)
+    cam = camera(scale=8)
+    (free, far), (hidden, near) = (render(ramps, cam, pose(0.0, 0.0, 0.0), FLAT, p) for p in (NOBODY, cart))
+    v, u = jnp.mgrid[: cam.height, : cam.width]
+    pixels = jnp.stack([u.reshape(-1), v.reshape(-1)], axis=1).astype(jnp.float64)
+    points = backproject(pixels, near.reshape(-1), cam.intrinsics)
+    x = (cam.base_from_camera[:3, :3] @ points.T + cam.base_from_camera[:3, 3:])[0].reshape(near.shape)
+    met = near < far - 1e-9
+    on_front = met & (jnp.abs(x - 2.8) < 1e-9)
+    assert 0.03 < met.mean() < 0.5
+    assert on_front.sum() > 0.8 * met.sum() and jnp.all(hidden[on_front] <= 0.2)
+    assert jnp.all(near[~met] == far[~met]) and not jnp.allclose(hidden[~met], free[~met])
 
 
 def test_dtype_follows_the_inputs(ramps):
-    single = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), (ramps, camera(scale=32), pose(0, 0, 0), FLAT))
+    arguments = ramps, camera(scale=32), pose(0, 0, 0), FLAT, NOBODY
+    single = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), arguments)
     assert {leaf.dtype for leaf in render(*single)} == {jnp.dtype(jnp.float32)}

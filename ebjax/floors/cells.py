@@ -1,0 +1,40 @@
+"""Voronoi cells in the plane: distance to the nearest edge between cells and random numbers of the nearest one."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Key
+
+
+def voronoi(
+    points: Float[Array, "*s 2"], *, key: Key[Array, ""], period: int = 128
+) -> tuple[Float[Array, "*s"], Float[Array, "*s 4"]]:
+    """One seed a lattice cell at a random place; the edge's distance is half of (second - first) distance.
+
+    Args:
+      points: (x, y) in lattice cells.
+      key: of the seeds.
+      period: cells after which they repeat, along both axes.
+
+    Returns:
+      (d2 - d1) / 2, which is 0 on the edges between cells, and four numbers in [0, 1) of the nearest seed.
+    """
+    table = jax.random.uniform(key, (period * period, 6), points.dtype)
+    corner = jnp.floor(jax.lax.stop_gradient(points))
+    cell = corner.astype(jnp.int32)
+
+    def nearer(carry, shift):
+        first, second, index = carry
+        column, row = (cell[..., 0] + shift[0]) % period, (cell[..., 1] + shift[1]) % period
+        at = row * period + column
+        x = table[at, 0] + corner[..., 0] + shift[0]
+        y = table[at, 1] + corner[..., 1] + shift[1]
+        distance = jnp.sqrt((points[..., 0] - x) ** 2 + (points[..., 1] - y) ** 2)
+        second = jnp.minimum(second, jnp.maximum(first, distance))
+        index = jnp.where(distance < first, at, index)
+        return (jnp.minimum(first, distance), second, index), None
+
+    shifts = jnp.stack(jnp.meshgrid(jnp.arange(-1, 2), jnp.arange(-1, 2)), axis=-1).reshape(-1, 2).astype(jnp.int32)
+    far = jnp.full(points.shape[:-1], 9.0, points.dtype)
+    # A loop, not nine terms: fused gathers take XLA long to compile.
+    (first, second, index), _ = jax.lax.scan(nearer, (far, far, jnp.zeros_like(cell[..., 0])), shifts)
+    return (second - first) / 2, table[index, 2:]
