@@ -1,0 +1,147 @@
+"""`python -m ebjax.evaluation crops`: the ranking of descriptors on real floors beside that on synthetic ones."""
+
+import json
+from collections.abc import Mapping, Sequence
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import UInt8
+from scipy.stats import kendalltau
+
+import ebjax
+from ebjax.features.pair import look, quad_view
+from ebjax.io.atomic import whole_file
+from ebjax.io.cache import digest
+from ebjax.io.image_folder import list_images
+from ebjax.io.images import read_image
+from ebjax.io.pairs import read_pairs
+from ebjax.paper import crops, page
+from ebjax.paper.cells import Cells
+from ebjax.paper.retrieval import FLOOR, TURNED
+from ebjax.places.descriptor import DESCRIPTORS, Descriptor, descriptor
+from ebjax.viz import experiments
+
+Photographs = Mapping[str, UInt8[np.ndarray, "_ _ 3"]]
+
+TOP_VIEW_PX = 400
+REAL, SYNTHETIC = "real", "synthetic"
+RANKINGS = {"rootsift-vlad": ("correlation", "cosine")}
+SHOWN = 6
+
+
+def read_photographs(folders: Sequence[Path], only: str) -> dict[str, UInt8[np.ndarray, "_ _ 3"]]:
+    """Images of floors by name; of a folder of facing pairs (`gt.json`) the first image of each, from above.
+
+    Raises:
+      ValueError: a folder without images, or without any that matches.
+      OSError: a folder or an image cannot be read.
+    """
+    found: dict[str, UInt8[np.ndarray, "_ _ 3"]] = {}
+    for folder in folders:
+        if any(folder.glob("*/gt.json")):
+            for pair in read_pairs(folder):
+                view, _ = look(read_image(pair.a), quad_view(pair.quad, TOP_VIEW_PX, 0.0))
+                found[f"{folder.name}/{pair.name}"] = np.asarray(np.rint(255 * np.asarray(view)), np.uint8)
+            continue
+        paths = [path for path in list_images(folder) if path.match(only)]
+        if not paths:
+            raise ValueError(f"{folder}: no image matches {only!r}; change --only")
+        found |= {f"{folder.name}/{path.stem}": read_image(path) for path in paths}
+    return found
+
+
+def methods(weights: Path | None) -> tuple[dict[str, tuple[Descriptor, str]], dict[str, str]]:
+    """Label -> descriptor and ranking of what can be used, and why the others cannot. `joint` needs a whole image."""
+    found = {name: (chosen, "cosine") for name, chosen in crops.BASELINES.items()}
+    absent = {}
+    for name in DESCRIPTORS:
+        if name == "joint":
+            continue
+        try:
+            chosen = descriptor(name, weights)
+        except ValueError as fault:
+            absent[name] = page.reason(fault)
+            continue
+        rankings = RANKINGS.get(name, ("cosine",))
+        found |= {f"{name}, {way}" if len(rankings) > 1 else name: (chosen, way) for way in rankings}
+    return found, absent
+
+
+def make(
+    folders: Sequence[Path], out: Path, only: str, most: int, weights: Path | None, seed: int, *, side_by_side: bool
+) -> list[str]:
+    """Measures both, writes crops.md, crops.json and pictures; see `ebjax.evaluation.__main__.CropsConfig`.
+
+    Returns:
+      the lines of the table, Kendall's tau among them.
+    """
+    if most < 2:
+        raise ValueError(f"--crops is {most}; give at least 2")
+    used, absent = methods(weights)
+    cells = Cells(out / "cells")
+    sources = {REAL: read_photographs(folders, only)}
+    if side_by_side:
+        from ebjax.paper.strips import strips
+
+        sources[SYNTHETIC] = strips(seed)
+    tables: dict[str, dict[str, dict[str, float]]] = {}
+    lines, pictures = [], []
+    for source, photographs in sources.items():
+        cut = crops.cut(photographs, most)
+        content = digest(*photographs.values())
+        settings = {"ebjax": ebjax.__version__, "seed": seed, "content": content, "crops": len(cut)}
+
+        @lru_cache(maxsize=1)
+        def images(source: str = source, cut: tuple = tuple(cut)) -> list[np.ndarray]:
+            return crops.images_of(sources[source], list(cut), seed=seed)
+
+        @lru_cache(maxsize=1)
+        def kept(chosen: Descriptor, images=images) -> Mapping[str, np.ndarray]:
+            return crops.describe(chosen, images())
+
+        def measure(label: str, kept=kept) -> dict[str, float]:
+            chosen, ranking = used[label]
+            return crops.recall(kept(chosen), chosen, ranking, seed=seed)
+
+        tables[source] = {
+            label: cells.values(f"crops {source} {label}", settings, partial(measure, label)) for label in used
+        }
+        draw = partial(_examples, images, len(cut))
+        pictures.append(cells.picture(out / f"crops_{source}.png", settings, draw))
+        lines.append(f"{source}: {len(cut)} crops of {len(photographs)} floors.")
+    head = ["R@1, %", *(f"{source}, {seen_as}" for source in tables for seen_as in (FLOOR, TURNED))]
+    rows = {
+        label: [page.percent(tables[source][label][seen_as]) for source in tables for seen_as in (FLOOR, TURNED)]
+        for label in used
+    }
+    lines += ["", *page.markdown_table(head, rows)]
+    result: dict[str, Any] = {"tables": tables, "left_out": absent, "settings": _settings(seed, most, only)}
+    if side_by_side:
+        tau = kendalltau(*(crops.spread(tables[source], TURNED) for source in (REAL, SYNTHETIC)))
+        result["kendall_tau"] = {"tau": float(tau.statistic), "p": float(tau.pvalue), "methods": len(used)}
+        lines.append(f"Kendall tau of the two rankings, {TURNED}, {len(used)} methods: {tau.statistic:.3f}")
+        lines.append(f"(p {tau.pvalue:.3f} for rankings that have nothing to do with each other).")
+    lines += ["", *(f"Left out: {why}" for why in absent.values())]
+    shown = [f"![{path.stem}]({path.name})" for path in pictures]
+    with whole_file(out / "crops.md") as file:
+        file.write("\n".join(["# Retrieval among crops of floors", "", *lines, "", *shown, ""]))
+    with whole_file(out / "crops.json") as file:
+        json.dump(result, file, indent=1, allow_nan=False)
+    return lines
+
+
+def _examples(images, count: int) -> bytes:
+    every = images()
+    rows = {}
+    for k in np.linspace(0, count - 1, SHOWN).round().astype(int):
+        query = every[count + k]
+        rows[f"crop {k}"] = (every[k], query, np.ascontiguousarray(query[::-1, ::-1]))
+    return experiments.image_grid(rows, ("database", "query", "turned by pi"))
+
+
+def _settings(seed: int, most: int, only: str) -> dict[str, Any]:
+    names = ("SIDE_PX", "STRIDE_PX", "SHORTLIST", "ROTATION_DEG", "SCALE", "SHIFT", "PERSPECTIVE")
+    light = ("GAMMA", "GAIN", "SHADOW", "GLARE", "NOISE")
+    return {"seed": seed, "crops": most, "only": only, **{n.lower(): getattr(crops, n) for n in (*names, *light)}}
