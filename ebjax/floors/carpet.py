@@ -34,7 +34,7 @@ def reflectance(points: Float[Array, "*s 2"], floor: Material, *, key: Key[Array
     loop = (0.5 + 0.5 * jnp.cos(u)) * (0.5 + 0.5 * jnp.cos(v))
     cell = ((row % 128) * 128 + column % 128).astype(jnp.int32)
     own = jax.random.normal(tuft_key, (128 * 128, 3), points.dtype)[cell]
-    colour = spread((0.088, 0.094, 0.112), (0.75 + 0.5 * loop) * (1 + 0.03 * own[..., 0]))
+    colour = spread((0.088, 0.094, 0.112), (0.75 + 0.5 * loop) * (1 + 0.08 * own[..., 0]))
     seam = joint(tile.edge_m, floor.joint_m, floor.texel_m)
     colour = mix(colour, (0.03, 0.03, 0.035), 0.6 * seam)
     tread = jnp.stack([fractal_noise(1.2 * points, key=k) for k in jax.random.split(tread_key)], axis=-1)
