@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
-import ebjax
 from ebjax.command import progress, run
 from ebjax.features.bench import bench
 from ebjax.features.equivariance import middle, stand_in, through_turn
@@ -22,13 +21,12 @@ from ebjax.features.remember import remembered
 from ebjax.features.table import Pair, as_json, compare_inputs, compare_pairs, markdown
 from ebjax.geometry.camera import Camera, FloorView
 from ebjax.io.atomic import whole_file, whole_folder
-from ebjax.io.cache import Cache, digest
+from ebjax.io.cache import open_cache
 from ebjax.io.camera_file import read_camera
 from ebjax.io.images import read_both, read_depths, read_image
 from ebjax.io.pairs import read_pairs
-from ebjax.models.catalogue import MODELS
 from ebjax.models.d2net import OFFSETS
-from ebjax.models.locate import locate
+from ebjax.models.fast import Arithmetic
 from ebjax.slam.view import choose_floor
 from ebjax.viz import figures
 
@@ -51,6 +49,8 @@ class Config:
     """Local feature; all compares those that can be used here and keeps what most matches agree on."""
     weights: Path | None = None
     """Of a network: its .safetensors file, or a folder of them; None: $EBJAX_WEIGHTS or ~/.cache/ebjax/weights."""
+    arithmetic: Arithmetic = "exact"
+    """Of a network: float32 convolutions, the same by Winograd's algorithm (equal to rounding), or in part bfloat16."""
     model: Literal["auto", "rigid", "similarity", "homography"] = "auto"
     """Motion on the floor; auto: rigid with --camera, else homography, for a hand-picked quad is no exact rectangle."""
     size: int = 400
@@ -81,6 +81,8 @@ class TableConfig:
     """Which local features; one that cannot be used here is left out, and why is said."""
     weights: Path | None = None
     """Folder of the networks' weights; None: $EBJAX_WEIGHTS or ~/.cache/ebjax/weights."""
+    arithmetic: Arithmetic = "exact"
+    """Of a network: float32 convolutions, the same by Winograd's algorithm (equal to rounding), or in part bfloat16."""
     seed: int = 0
     """Of RANSAC."""
     cache: Path | None = None
@@ -152,12 +154,12 @@ def main(config: Config) -> None:
         camera = Camera(camera_file.intrinsics, camera_file.base_from_camera, width, height)
     views = make_views(config, camera, quad, width, height)
     if config.extractor == "all":
-        extractors, absent = usable(tuple(EXTRACTORS), config.weights)
+        extractors, absent = usable(tuple(EXTRACTORS), config.weights, config.arithmetic)
     else:
-        extractors, absent = {config.extractor: extractor(config.extractor, config.weights)}, {}
+        extractors, absent = {config.extractor: extractor(config.extractor, config.weights, config.arithmetic)}, {}
     records, comparisons = [], []
     print(f"{'':10}" + "".join(f"{name:>16}" for name in (RAW, FLOOR, TURNED) if name == RAW or FLOOR in views))
-    for name, chosen in caching(config.cache, extractors, config.weights).items():
+    for name, chosen in caching(config.cache, extractors, config.arithmetic).items():
         row = f"{name:10}"
         how: dict[str, Any] = {"model": config.model, "tolerance": config.tolerance, "seed": config.seed}
         for kind, comparison, model in compare_inputs(chosen, views, image_a, image_b, **how):
@@ -186,16 +188,13 @@ def main(config: Config) -> None:
     write(config.out, result, comparisons[best], records[best], (image_a, image_b))
 
 
-def caching(folder: Path | None, found: dict[str, Extractor], weights: Path | None) -> dict[str, Extractor]:
+def caching(folder: Path | None, found: dict[str, Extractor], arithmetic: Arithmetic) -> dict[str, Extractor]:
     """The extractors; with a folder, they look there first for a view that they know."""
     if folder is None:
         return found
     kept = {}
     for name, chosen in found.items():
-        file = locate(name, weights).read_bytes() if name in MODELS else b""
-        cache = Cache(folder, name, {"ebjax": ebjax.__version__, "weights": digest(file)}, shard_s=0)
-        for shard in cache.damaged:
-            print(f"{shard}: damaged; its views are described again", file=sys.stderr)
+        cache = open_cache(folder, name, chosen.weights, arithmetic=arithmetic, shard_s=0)
         kept[name] = remembered(chosen, cache.remember)
     return kept
 
@@ -242,10 +241,10 @@ def table(config: TableConfig) -> None:
     if unknown := [name for name in config.extractors if name not in EXTRACTORS]:
         raise ValueError(f"extractor {unknown[0]!r} is unknown; choose of {', '.join(EXTRACTORS)}")
     pairs = [Pair(f.name, *read_both(f.a, f.b), f.quad, f.b_from_a) for f in read_pairs(config.pairs)]
-    found, absent = usable(config.extractors, config.weights)
+    found, absent = usable(config.extractors, config.weights, config.arithmetic)
     if not found:
         raise ValueError(next(iter(absent.values())))
-    shown = progress(caching(config.cache, found, config.weights).items(), len(found), "Comparing")
+    shown = progress(caching(config.cache, found, config.arithmetic).items(), len(found), "Comparing")
     rows = {name: compare_pairs(chosen, pairs, seed=config.seed) for name, chosen in shown}
     lines = [*markdown(rows), "", *(f"Left out: {reason}" for reason in absent.values())]
     print("\n".join(lines))

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ebjax.features.matching import Features
+from ebjax.models.fast import Arithmetic
 
 EXTRACTORS = {
     "rootsift": "ebjax.features.upright:ROOTSIFT",
@@ -21,7 +22,7 @@ EXTRACTORS = {
     "d2net": "ebjax.features.networks:d2net",
     "alike": "ebjax.features.networks:alike",
 }
-"""Each is an `Extractor` or, for a network, a function of its weights file that gives one."""
+"""Each is an `Extractor` or, for a network, a function of its weights file and its arithmetic that gives one."""
 
 LUMA = (0.299, 0.587, 0.114)
 
@@ -37,11 +38,13 @@ class Extractor:
       extract: (view "H W 3", RGB in [0, 1]; seen "H W" bool, the field of view) -> Features of a fixed number of rows.
       jitted: whether `extract` may be called inside a jitted program; else it is called from the host.
       turn: descriptors -> those of the same keypoints in the view turned by pi; None looks again.
+      weights: the file they were read from.
     """
 
     extract: Callable[..., Features]
     jitted: bool
     turn: Callable[..., Any] | None
+    weights: Path | None = None
 
     def turned(self, view: Float[Array, "H W 3"], seen: Bool[Array, "H W"]) -> Features:
         """The features of the view turned by pi; keypoints in pixels of the view as it is."""
@@ -64,13 +67,14 @@ def unturned(descriptors: Float[Array, "*n D"]) -> Float[Array, "*n D"]:
 
 
 @functools.cache
-def extractor(name: str, weights: Path | None = None) -> Extractor:
+def extractor(name: str, weights: Path | None = None, arithmetic: Arithmetic = "exact") -> Extractor:
     """Looks an extractor up and imports it.
 
     Args:
       name: one of EXTRACTORS.
       weights: of a network: a .safetensors file, or a folder that holds NAME.safetensors; None looks in the usual
         place, see `ebjax.models.locate`. The others need none.
+      arithmetic: of a network, see there.
 
     Raises:
       ValueError: no such name; a network without weights, or with another's; a package that is not installed.
@@ -83,15 +87,17 @@ def extractor(name: str, weights: Path | None = None) -> Extractor:
         found = getattr(importlib.import_module(module), attribute)
     except ImportError as error:
         raise ValueError(f'{name} needs {error.name}: pip install "ebjax[{name}]"') from None
-    return found if isinstance(found, Extractor) else found(weights)
+    return found if isinstance(found, Extractor) else found(weights, arithmetic)
 
 
-def usable(names: Sequence[str], weights: Path | None = None) -> tuple[dict[str, Extractor], dict[str, str]]:
+def usable(
+    names: Sequence[str], weights: Path | None = None, arithmetic: Arithmetic = "exact"
+) -> tuple[dict[str, Extractor], dict[str, str]]:
     """Those of the named extractors that can be used here, and why each of the others cannot."""
     found, absent = {}, {}
     for name in names:
         try:
-            found[name] = extractor(name, weights)
+            found[name] = extractor(name, weights, arithmetic)
         except ValueError as error:
             absent[name] = str(error)
     return found, absent

@@ -1,4 +1,4 @@
-"""D2-Net, SuperPoint and ALIKE as local features; each is a function of its weights file.
+"""D2-Net, SuperPoint and ALIKE as local features; each is a function of its weights file and its arithmetic.
 
 Networks are not invariant to rotation: of a view that is turned by pi they have to look at the turned view.
 """
@@ -19,9 +19,9 @@ import ebjax.models.superpoint
 from ebjax.features.extractor import Extractor, luma
 from ebjax.features.matching import Features
 from ebjax.features.upright import halved
-from ebjax.models.catalogue import load_network
 from ebjax.models.detect import Detections, window_max
-from ebjax.models.locate import locate
+from ebjax.models.fast import Arithmetic
+from ebjax.models.locate import open_network
 
 COUNT = 2000
 SIDE_PX = 400
@@ -34,44 +34,37 @@ ALIKE_THRESHOLD = 0.01
 CONVENTIONS = {"superpoint": "superglue", "superpoint-v6": "v6"}
 
 
-def d2net(weights: Path | None) -> Extractor:
+def d2net(weights: Path | None, arithmetic: Arithmetic) -> Extractor:
     """D2-Net at one scale, 512 numbers a keypoint."""
-    _, network = _load("d2net", weights, ("d2net",))
-    return _extractor(network, partial(ebjax.models.d2net.detect, count=COUNT))
+    path, _, network = open_network("d2net", weights, arithmetic)
+    return _extractor(path, network, partial(ebjax.models.d2net.detect, count=COUNT))
 
 
-def superpoint(weights: Path | None) -> Extractor:
+def superpoint(weights: Path | None, arithmetic: Arithmetic) -> Extractor:
     """SuperPoint v1 as hloc reads it, or v6; 256 numbers a keypoint."""
-    kind, network = _load("superpoint", weights, tuple(CONVENTIONS))
+    path, kind, network = open_network("superpoint", weights, arithmetic, accepted=tuple(CONVENTIONS))
     convention = ebjax.models.superpoint.CONVENTIONS[CONVENTIONS[kind]]
 
     def detect(network: Any, view: Float[Array, "H W 3"]) -> Detections:
         return ebjax.models.superpoint.detect(network, luma(view)[..., None], convention, count=COUNT)
 
-    return _extractor(network, detect)
+    return _extractor(path, network, detect)
 
 
-def alike(weights: Path | None) -> Extractor:
+def alike(weights: Path | None, arithmetic: Arithmetic) -> Extractor:
     """ALIKE, whichever variant the file holds; 64 to 128 numbers a keypoint."""
-    _, network = _load("alike", weights, ("alike",))
-    return _extractor(network, partial(ebjax.models.alike.detect, count=COUNT, threshold=ALIKE_THRESHOLD))
+    path, _, network = open_network("alike", weights, arithmetic)
+    return _extractor(path, network, partial(ebjax.models.alike.detect, count=COUNT, threshold=ALIKE_THRESHOLD))
 
 
-def _load(name: str, weights: Path | None, accepted: tuple[str, ...]) -> tuple[str, nnx.Module]:
-    path = locate(name, weights)
-    kind, network = load_network(path)
-    if kind not in accepted:
-        raise ValueError(f"{path}: weights of {kind}, not of {name}")
-    return kind, network
-
-
-def _extractor(network: nnx.Module, detect: Callable[..., Detections]) -> Extractor:
+def _extractor(path: Path, network: nnx.Module, detect: Callable[..., Detections]) -> Extractor:
     graph, state = nnx.split(network)
     # The weights are arguments of one program: as constants in it they would be compiled.
     return Extractor(
         extract=lambda view, seen: _extract(graph, state, jnp.asarray(view), jnp.asarray(seen), detect),
         jitted=False,
         turn=None,
+        weights=path,
     )
 
 

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
-from jaxtyping import Array, Float, Key
+from jaxtyping import Array, Float, Int, Key
 
 from ebjax.floors import mipmap, wear
 from ebjax.floors.mipmap import Mipmap
@@ -83,7 +83,7 @@ def locate(atlas: Atlas, x: Float[Array, "*s"], y: Float[Array, "*s"]) -> Ground
     return Ground(texel, direction, u, v - atlas.width_m / 2, clearance)
 
 
-def look(atlas: Atlas, ground: Ground, by_pixel: Float[Array, "*s 2 2"]) -> Float[Array, "*s 3"]:
+def look(atlas: Atlas, ground: Ground, by_pixel: Float[Array, "*s 2 2"]) -> Float[Array, "*s C"]:
     """Reflectance of the floor, filtered over a pixel; `by_pixel` has the rows d(x, y)/d(pixel u), d(x, y)/d(v)."""
     c, s = ground.direction[..., None, 0], ground.direction[..., None, 1]
     axes = jnp.stack(
@@ -93,7 +93,7 @@ def look(atlas: Atlas, ground: Ground, by_pixel: Float[Array, "*s 2 2"]) -> Floa
 
 
 def from_strips(
-    strips: list[Float[np.ndarray, "H W 3"]],
+    strips: list[Float[np.ndarray, "H W C"]],
     plan: Plan,
     texel_m: float,
     gutter: int = 0,
@@ -125,7 +125,7 @@ def _block(
     photographs: tuple[Float[Array, "N n n 3"], ...],
     *,
     key: Key[Array, ""],
-) -> Float[Array, "H W 3"]:
+) -> Float[Array, "H W C"]:
     """Clean floor under its grime: texel (column, row) at corner + (column + 1/2) along + (row + 1/2) to the left."""
     height, width = shape
     u, v = jnp.meshgrid(*((jnp.arange(n, dtype=corner.dtype) + 0.5) * floor.texel_m for n in (width, height)))
@@ -149,6 +149,8 @@ def floor_of(
       photographs: what the family "photograph" lays.
     """
     own = material(config)
+    if photographs is not None and config.designs is None:
+        own = own._replace(designs=len(photographs))
     floor_key, mark_key, place_key = jax.random.split(key, 3)
     extra = () if photographs is None else (jnp.asarray(photographs, jnp.float32),)
     texel = config.texel_m
@@ -159,34 +161,61 @@ def floor_of(
     marks = wear.scatter(plan.owns, plan.origins, plan.directions, sizes, config.wear_per_m2, shares, rng)
     marks = {name: kind for name, kind in marks.items() if len(kind.places) and config.wear > 0}
 
-    def block(strip: int, first: int) -> Float[np.ndarray, "H W 3"]:
-        along = plan.directions[strip]
-        left = np.array([-along[1], along[0]])
-        corner = plan.origins[strip] + (first - GUTTER) * texel * along
-        direction = jnp.asarray(along, jnp.float32)
-        floor = _block(jnp.asarray(corner, jnp.float32), direction, (rows, BLOCK), own, extra, key=floor_key)
-        for number, (name, kind) in enumerate(marks.items()):
-            at = (kind.places - corner) @ np.stack([along, left], axis=1) / texel - 0.5
-            reach = wear.KINDS[name].patch_m / texel
-            near = np.all((at > -reach) & (at < np.array([BLOCK, rows]) + reach), axis=1)
-            count = near.sum()
-            if not count:
+    spans = [(i, k * BLOCK) for i, n in enumerate(plan.lengths) for k in range(_blocks(n, texel))]
+    centres = {name: [_local(plan, span, texel, kind.places) for span in spans] for name, kind in marks.items()}
+    reach = {name: wear.KINDS[name].patch_m / texel for name in marks}
+    near = {name: [_reaches(at, reach[name], rows) for at in blocks] for name, blocks in centres.items()}
+    # One number of marks for all blocks, and so one program a kind.
+    most = {name: 1 << (max(map(len, blocks)) - 1).bit_length() for name, blocks in near.items()}
+
+    def block(number: int) -> Float[np.ndarray, "H W C"]:
+        strip, _ = spans[number]
+        direction = jnp.asarray(plan.directions[strip], jnp.float32)
+        corner = jnp.asarray(_corner(plan, spans[number], texel), jnp.float32)
+        floor = _block(corner, direction, (rows, BLOCK), own, extra, key=floor_key)
+        for order, (name, kind) in enumerate(marks.items()):
+            chosen = near[name][number]
+            if len(chosen) == 0:
                 continue
-            # Padded to powers of two: a few programs serve all blocks.
-            padded = 1 << int(count - 1).bit_length()
-            chosen = np.concatenate([np.flatnonzero(near), np.zeros(padded - count, np.int64)])
-            arguments = (
-                jnp.asarray(at[chosen], jnp.float32),
-                jnp.asarray(kind.numbers[chosen], jnp.int32),
-                jnp.arange(padded) < count,
+            padded = np.resize(chosen, most[name])
+            floor = wear.paint(
+                floor,
+                name,
+                jnp.asarray(centres[name][number][padded], jnp.float32),
+                jnp.asarray(kind.numbers[padded], jnp.int32),
+                jnp.arange(most[name]) < len(chosen),
                 direction,
                 jnp.float32(config.wear),
+                texel,
+                key=jax.random.fold_in(mark_key, order),
             )
-            floor = wear.paint(floor, name, *arguments, texel, key=jax.random.fold_in(mark_key, number))
-        return np.asarray(jnp.clip(floor, 0.01, 0.95), np.float16)
+        floor = floor.at[..., :3].set(jnp.clip(floor[..., :3], 0.01, 0.95))
+        return np.asarray(floor, np.float16)
 
-    strips = []
-    for i, length in enumerate(plan.lengths):
-        count = math.ceil((length / texel + 2 * GUTTER) / BLOCK)
-        strips.append(np.concatenate([block(i, k * BLOCK) for k in range(count)], axis=1))
+    blocks = [block(number) for number in range(len(spans))]
+    strips = [
+        np.concatenate([b for b, span in zip(blocks, spans, strict=True) if span[0] == i], axis=1)
+        for i in range(len(plan.lengths))
+    ]
     return from_strips(strips, plan, texel, GUTTER)
+
+
+def _blocks(length_m: float, texel_m: float) -> int:
+    return math.ceil((length_m / texel_m + 2 * GUTTER) / BLOCK)
+
+
+def _corner(plan: Plan, span: tuple[int, int], texel_m: float) -> Float[np.ndarray, "2"]:
+    strip, first = span
+    return plan.origins[strip] + (first - GUTTER) * texel_m * plan.directions[strip]
+
+
+def _local(plan: Plan, span: tuple[int, int], texel_m: float, places: np.ndarray) -> Float[np.ndarray, "N 2"]:
+    """World points as (column, row) of a block."""
+    along = plan.directions[span[0]]
+    frame = np.stack([along, [-along[1], along[0]]], axis=1)
+    return (places - _corner(plan, span, texel_m)) @ frame / texel_m - 0.5
+
+
+def _reaches(at: Float[np.ndarray, "N 2"], reach_px: float, rows: int) -> Int[np.ndarray, " K"]:
+    """Which marks reach into a block."""
+    return np.flatnonzero(np.all((at > -reach_px) & (at < np.array([BLOCK, rows]) + reach_px), axis=1))

@@ -1,43 +1,48 @@
-"""Loop-pile carpet tiles: rows of tufts of one yarn, laid with the pile turned; nothing cracks, chips or scratches.
+"""Loop-pile carpet tiles: rows of tufts of one yarn, their pile turned tile by tile; nothing cracks or chips.
 
-Tufts are 4 by 5 mm, near what a camera at half a metre resolves: their contrast is gone a metre further away, and what
-is left is a regular weave, the tiles' edges, and soft shade where feet have pressed the pile.
+What one sees of a carpet is mostly its relief and the way its pile leans: bright where it leans away, dark where it
+leans towards the eye. From the other side bright and dark change places, so that views from opposite sides hardly
+agree; what stays is the regular weave, the seams, and the few stains.
 """
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
-from ebjax.floors.noise import fractal_noise, gradient_noise
+from ebjax.floors.noise import fractal_noise
 from ebjax.floors.surface import Family, Material, joint, lay, mix, spread
 
 TUFT_M = (0.0105, 0.008)
 
 
-def reflectance(points: Float[Array, "*s 2"], floor: Material, *, key: Key[Array, ""]) -> Float[Array, "*s 3"]:
-    """A product of waves along and across the rows, a little of each tuft's own shade, turned tile by tile.
+def reflectance(points: Float[Array, "*s 2"], floor: Material, *, key: Key[Array, ""]) -> Float[Array, "*s 5"]:
+    """Colour, and the lean of the pile: the renderer multiplies the colour by 1 + lean . view direction.
 
     Args:
       points: world, m.
       floor: sizes and disorder.
       key: of the yarn and the layout.
     """
-    layout, tuft_key, tread_key, line_key = jax.random.split(key, 4)
+    layout, tuft_key, tread_key = jax.random.split(key, 3)
     tile = lay(points, (floor.size_m, floor.size_m), floor, key=layout)
     p = tile.pattern
     x, y = p[..., 0] / TUFT_M[0], p[..., 1] / TUFT_M[1]
     row = jnp.floor(jax.lax.stop_gradient(y))
     x = x + 0.5 * (row % 2)
-    loop = (0.5 + 0.5 * jnp.cos(2 * jnp.pi * x)) * (0.5 + 0.5 * jnp.cos(2 * jnp.pi * (y - row - 0.5)))
-    cell = jnp.stack([jnp.floor(jax.lax.stop_gradient(x)), row], -1).astype(jnp.int32) % 128
-    yarn = jax.random.normal(tuft_key, (128 * 128,), points.dtype)[cell[..., 1] * 128 + cell[..., 0]]
-    line = gradient_noise(jnp.stack([p[..., 0] * 1.5, p[..., 1] * 70.0], -1), key=line_key)
-    tread = fractal_noise(0.8 * points, key=tread_key, octaves=3)
-    # Pile turned by a quarter throws its shade the other way: tiles differ although their yarn does not.
-    nap = 0.05 * jnp.where(tile.random[..., 1] < 0.5, -1.0, 1.0).astype(points.dtype) * floor.dirt
-    value = (0.72 + 0.5 * loop) * (1 + 0.10 * yarn + 0.16 * line) * (1 + nap + 0.08 * floor.dirt * tread)
-    colour = spread((0.088, 0.094, 0.112), value)
-    return mix(colour, (0.03, 0.03, 0.035), 0.7 * joint(tile.edge_m, floor.joint_m, floor.texel_m))
+    column = jnp.floor(jax.lax.stop_gradient(x))
+    u, v = 2 * jnp.pi * x, 2 * jnp.pi * (y - row - 0.5)
+    loop = (0.5 + 0.5 * jnp.cos(u)) * (0.5 + 0.5 * jnp.cos(v))
+    cell = ((row % 128) * 128 + column % 128).astype(jnp.int32)
+    own = jax.random.normal(tuft_key, (128 * 128, 3), points.dtype)[cell]
+    colour = spread((0.088, 0.094, 0.112), (0.75 + 0.5 * loop) * (1 + 0.08 * own[..., 0]))
+    seam = joint(tile.edge_m, floor.joint_m, floor.texel_m)
+    colour = mix(colour, (0.03, 0.03, 0.035), 0.6 * seam)
+    tread = jnp.stack([fractal_noise(1.2 * points, key=k) for k in jax.random.split(tread_key)], axis=-1)
+    turn = 0.5 * jnp.pi * jnp.floor(4 * tile.random[..., 1])
+    laid = jnp.stack([jnp.cos(turn), jnp.sin(turn)], axis=-1)
+    bulge = jnp.stack([-jnp.sin(u), -jnp.sin(v)], axis=-1)
+    lean = 0.12 * floor.dirt * laid + 0.2 * floor.dirt * tread + 0.2 * own[..., 1:] + 0.15 * bulge
+    return jnp.concatenate([colour, lean], axis=-1)
 
 
 FAMILY = Family(

@@ -1,22 +1,30 @@
-"""Voronoi cells in the plane: distance to the nearest edge between cells and random numbers of the nearest one."""
+"""Voronoi cells in the plane: what stone chips are cut out of, and where pores lie."""
+
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
 
-def voronoi(
-    points: Float[Array, "*s 2"], *, key: Key[Array, ""], period: int = 128
-) -> tuple[Float[Array, "*s"], Float[Array, "*s 4"]]:
-    """One seed a lattice cell at a random place; the edge's distance is half of (second - first) distance.
+class Cell(NamedTuple):
+    """The cell in which a point lies; lengths in lattice cells."""
+
+    edge: Float[Array, "*s"]
+    """(second - first) / 2 of the distances to the nearest seeds: 0 on the edges between cells."""
+    seed: Float[Array, "*s"]
+    """Distance to the cell's seed."""
+    random: Float[Array, "*s 4"]
+    """Four numbers in [0, 1) of the cell's own."""
+
+
+def voronoi(points: Float[Array, "*s 2"], *, key: Key[Array, ""], period: int = 128) -> Cell:
+    """One seed a lattice cell, at a random place in it.
 
     Args:
       points: (x, y) in lattice cells.
       key: of the seeds.
       period: cells after which they repeat, along both axes.
-
-    Returns:
-      (d2 - d1) / 2, which is 0 on the edges between cells, and four numbers in [0, 1) of the nearest seed.
     """
     table = jax.random.uniform(key, (period * period, 6), points.dtype)
     corner = jnp.floor(jax.lax.stop_gradient(points))
@@ -37,4 +45,4 @@ def voronoi(
     far = jnp.full(points.shape[:-1], 9.0, points.dtype)
     # A loop, not nine terms: fused gathers take XLA long to compile.
     (first, second, index), _ = jax.lax.scan(nearer, (far, far, jnp.zeros_like(cell[..., 0])), shifts)
-    return (second - first) / 2, table[index, 2:]
+    return Cell((second - first) / 2, first, table[index, 2:])

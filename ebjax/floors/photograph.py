@@ -15,14 +15,12 @@ def reflectance(
     Args:
       points: world, m.
       floor: sizes and disorder.
-      photographs: square cuts, linear reflectance, one a design (`floor.designs` is not used beyond their number).
+      photographs: square cuts, linear reflectance, one a design.
       key: of the layout.
     """
     count, side = photographs.shape[:2]
     tile = lay(points, (floor.size_m, floor.size_m), floor, key=key)
-    # Designs are told apart by where they lie in the pattern's plane.
-    corner = tile.pattern - tile.local
-    which = (jnp.floor(jax.lax.stop_gradient(corner[..., 0]) * 1009.0).astype(jnp.int32)) % count
+    which = tile.design % count
     at = (tile.local / floor.size_m + 0.5) * side - 0.5
     at = jnp.clip(at, 0, side - 1.001)
     low = jnp.floor(jax.lax.stop_gradient(at))

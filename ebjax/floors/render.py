@@ -36,8 +36,8 @@ class Light:
     """Relative growth of the light along x and y, 1/m: daylight from one end."""
     gloss: Float[Array, "*lights"]
     """Strength of the mirror image of lamps and windows in the floor, 0 to 1."""
-    sun: Float[Array, "*lights"]
-    """Radiance that the sun adds where it shines through windows onto the floor."""
+    sun: Float[Array, "*lights K"]
+    """What the sun adds on the floor behind each window in turn, times the lamps' light; 0 is no window."""
     sun_shift: Float[Array, "*lights"]
     """Where along the corridors it does, m."""
 
@@ -84,12 +84,14 @@ def _mirrored_lamps(along: Component, across: Component, step: list[Component], 
 
 
 def _sun(along: Component, across: Component, footprint: Component, light: Light) -> Component:
-    """Share of a point in the sun: slanted patches through windows with a bar in the middle."""
+    """What the sun adds: slanted patches through windows with a bar in the middle."""
     x = along + SUN_SLANT * across - light.sun_shift
-    x = x - SUN_SPACING_M * jnp.round(x / SUN_SPACING_M)
+    window = jnp.round(jax.lax.stop_gradient(x) / SUN_SPACING_M)
+    x = x - SUN_SPACING_M * window
     blur = footprint + 0.02
     pane = covered(jnp.abs(x), 0.03, SUN_WIDTH_M / 2, blur)
-    return pane * covered(across, -0.75, 0.35, blur)
+    strength = light.sun[window.astype(jnp.int32) % light.sun.shape[-1]]
+    return strength * pane * covered(across, -0.75, 0.35, blur)
 
 
 def render(
@@ -132,10 +134,13 @@ def render(
     size = (jnp.abs(by_u[0]) + jnp.abs(by_u[1]) + jnp.abs(by_v[0]) + jnp.abs(by_v[1])) / 2
 
     floor = atlas.look(scene.floor, ground, by_pixel)
+    if floor.shape[-1] == 5:
+        length = jnp.sqrt(ray[0] ** 2 + ray[1] ** 2 + ray[2] ** 2)
+        floor = floor[..., :3] * (1 + (floor[..., 3] * ray[0] + floor[..., 4] * ray[1]) / length)[..., None]
     shade = (1 - 0.3 * jnp.exp(-ground.clearance / 0.12)) * shade_by_posts(passers.posts, x, y)
     shade = shade * shade_by_boxes(scene.furniture, x, y) * shade_by_boxes(passers.boxes, x, y)
     floor = floor * shade[..., None]
-    floor = floor * (1 + light.sun * _sun(ground.along, ground.across, size, light))[..., None]
+    floor = floor * (1 + _sun(ground.along, ground.across, size, light))[..., None]
     above = ceiling(ground.along, ground.across, size, LAMP_RADIANCE)
     colour = jnp.where(is_level[..., None], jnp.where(down[..., None], floor, above), plaster)
 

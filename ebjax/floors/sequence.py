@@ -27,6 +27,7 @@ from ebjax.geometry.camera import Camera
 
 Frame = tuple[UInt8[np.ndarray, "H W 3"], UInt16[np.ndarray, "H W"]]
 SHUTTER_TAPS = 3
+WINDOWS = 32
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,7 +41,7 @@ class CorridorConfig:
     gloss: float | None = None
     """Mirror image of the lamps in the floor, 0 to 1; None: that of the floor's family."""
     sun: float = 0.0
-    """Sunlight through windows onto the floor, times the lamps' light; on some passes more, on others less."""
+    """Sunlight through some windows onto the floor, times the lamps' light; it wanders and fades between passes."""
     landmarks_per_m: float = 0.0
     """Furniture and pictures a metre of wall, and walls of different colours; 0 leaves corridors bare."""
     floor: FloorConfig = dataclasses.field(default_factory=FloorConfig)
@@ -124,7 +125,8 @@ def lights(config: CorridorConfig, rng: np.random.Generator) -> Light:
     passes, change = config.robot.passes, config.light_change
     by = np.where(np.arange(passes) > 0, rng.uniform(0.7, 1.0, passes), 0.0) * change
     gloss = surface.family(config.floor.family).gloss if config.gloss is None else config.gloss
-    sun = config.sun * np.where(np.arange(passes) % 2, rng.uniform(0.3, 1.0, passes), 1.0)
+    windows = np.where(rng.uniform(size=WINDOWS) < 0.3, rng.uniform(0.4, 1.0, WINDOWS), 0.0)
+    sun = config.sun * np.where(np.arange(passes) > 0, rng.uniform(0.2, 1.0, passes), 1.0)[:, None] * windows
     columns = (
         np.array([1.0, 0.98, 0.94]) * (1 - by[:, None] * np.array([1.0, 0.95, 0.85])),
         0.12 + 0.3 * by,

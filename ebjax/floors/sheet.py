@@ -24,18 +24,18 @@ def from_above(
     u, v = jnp.meshgrid(jnp.arange(width) - width / 2, jnp.arange(height) - height / 2)
     x, y = (centre[0] + u * scale).astype(jnp.float32), (centre[1] - v * scale).astype(jnp.float32)
     axes = jnp.broadcast_to(jnp.array([[scale, 0.0], [0.0, -scale]], jnp.float32), (height, width, 2, 2))
-    floor = look(scene.floor, locate(scene.floor, x, y), axes)
+    floor = look(scene.floor, locate(scene.floor, x, y), axes)[..., :3]
     return np.asarray(jnp.round(255 * jnp.clip(floor, 0, 1) ** (1 / GAMMA))).astype(np.uint8)
 
 
 def sheet(seed: int) -> UInt8[np.ndarray, "h w 3"]:
     """A row a family: 2.4 m from above, 0.8 m from above, the way out, the same floor on the way back."""
     rows = []
-    for name in FAMILIES:
+    for number, name in enumerate(FAMILIES):
         if name == "photograph":
             continue
         config = CorridorConfig(
-            seed=seed, floor=FloorConfig(family=name), robot=RobotConfig(distance_m=FROM_ABOVE, step_m=0.2)
+            seed=seed + number, floor=FloorConfig(family=name), robot=RobotConfig(distance_m=FROM_ABOVE, step_m=0.2)
         )
         run = record(config)
         middle = (FROM_ABOVE / 2, 0.0)

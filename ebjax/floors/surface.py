@@ -12,7 +12,7 @@ from typing import Literal, NamedTuple, get_args
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Key
+from jaxtyping import Array, Float, Int, Key
 
 FamilyName = Literal["glazed", "marble", "terrazzo", "slabs", "concrete", "wood", "carpet", "photograph"]
 FAMILIES = {name: f"ebjax.floors.{name}:FAMILY" for name in get_args(FamilyName)}
@@ -21,7 +21,8 @@ FAMILIES = {name: f"ebjax.floors.{name}:FAMILY" for name in get_args(FamilyName)
 class Family(NamedTuple):
     """A family's look, what its options are where nobody sets them, and which marks wear leaves on it."""
 
-    reflectance: Callable[..., Float[Array, "*s 3"]]
+    reflectance: Callable[..., Float[Array, "*s C"]]
+    """Three channels of colour; two more where the material looks different from every side (`carpet`)."""
     size_m: float
     joint_m: float
     designs: int
@@ -44,8 +45,9 @@ class FloorConfig:
     """Width of the joints, m; None: the family's own."""
     designs: int | None = None
     """Distinct tiles, slabs or planks, which repeat in a lattice; None: the family's own."""
-    disorder: float = 0.3
-    """Share of elements laid out of the lattice: any design, any orientation that fits."""
+    disorder: float = 1.0
+    """Share of elements laid at random, any design, any orientation that fits, as tilers do; the others follow a
+    lattice in which designs repeat exactly."""
     dirt: float = 1.0
     """Strength of grime and of the elements' differences in shade; 0 makes equal elements equal."""
     wear_per_m2: float = 4.0
@@ -115,6 +117,8 @@ class Element(NamedTuple):
     """Position in it from its centre, in the design's own orientation, m."""
     pattern: Float[Array, "*s 2"]
     """Position in the plane out of which its design is cut, m: equal designs have equal ones."""
+    design: Int[Array, "*s"]
+    """Number of its design."""
     edge_m: Float[Array, "*s"]
     """Distance to its nearest edge."""
     random: Float[Array, "*s 2"]
@@ -161,7 +165,7 @@ def lay(
     sign = jnp.where(turn >= 2, -1, 1).astype(points.dtype)
     across = turn % 2 == 1
     local = jnp.stack([sign * jnp.where(across, v, u), sign * jnp.where(across, -u, v)], axis=-1)
-    return Element(local, local + windows[design], edge, draw[..., 3:])
+    return Element(local, local + windows[design], design, edge, draw[..., 3:])
 
 
 def joint(edge_m: Float[Array, "*s"], joint_m: float | int, texel_m: float | int) -> Float[Array, "*s"]:

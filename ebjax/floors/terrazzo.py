@@ -28,7 +28,7 @@ def reflectance(points: Float[Array, "*s 2"], floor: Material, *, key: Key[Array
     grain = fractal_noise(90.0 * points, key=mottle, octaves=2)
     palette = jnp.asarray(CHIPS, points.dtype)
     for (size_m, share, gap), chip_key in zip(SIZES, chip_keys, strict=True):
-        edge, own = voronoi(points / size_m, key=chip_key)
+        edge, _, own = voronoi(points / size_m, key=chip_key)
         kind = jnp.minimum((own[..., 0] ** 1.3 * len(CHIPS)).astype(jnp.int32), len(CHIPS) - 1)
         stone = palette[kind] * (0.75 + 0.5 * own[..., 1] + 0.12 * grain)[..., None]
         soft = 0.6 * floor.texel_m / size_m

@@ -117,8 +117,8 @@ def repair(key: Key[Array, ""], grid: Float[Array, "P Q 2"]) -> Painted:
     outside = jnp.max(jnp.abs(local) - half[None, None, :], axis=-1)
     distance = outside + 0.012 * fractal_noise(grid / 0.03, key=shape, octaves=3)
     rim = 0.35 * jnp.exp(-((distance / 0.004) ** 2))
-    opacity = _uniform(depth, 0.45, 0.85, grid) * jax.nn.sigmoid(-distance / 0.0015)
-    return jnp.clip(opacity + rim, 0, 1), _grey(tint, 0.12, 0.5, grid)
+    opacity = _uniform(depth, 0.35, 0.75, grid) * jax.nn.sigmoid(-distance / 0.0015)
+    return jnp.clip(opacity + rim, 0, 1), _grey(tint, 0.15, 0.5, grid)
 
 
 KINDS = {
@@ -173,7 +173,7 @@ def scatter(
 
 @partial(jax.jit, static_argnames=("kind", "texel_m"))
 def paint(
-    floor: Float[Array, "H W 3"],
+    floor: Float[Array, "H W C"],
     kind: str,
     centres: Float[Array, "N 2"],
     numbers: Int[Array, " N"],
@@ -183,11 +183,11 @@ def paint(
     texel_m: float,
     *,
     key: Key[Array, ""],
-) -> Float[Array, "H W 3"]:
+) -> Float[Array, "H W C"]:
     """Paints marks of one kind one after another; those beyond the border are cut there.
 
     Args:
-      floor: linear reflectance, columns along `direction`.
+      floor: linear reflectance, columns along `direction`; further channels vanish under marks.
       kind: name in `KINDS`.
       centres: of the marks, (column, row), px.
       numbers: of the marks: what their keys are made of.
@@ -197,7 +197,7 @@ def paint(
       texel_m: side of a texel.
       key: of all shapes.
     """
-    height, width, _ = floor.shape
+    height, width, channels = floor.shape
     side = round(KINDS[kind].patch_m / texel_m) + 2
     ticks = jnp.arange(side, dtype=floor.dtype)
 
@@ -211,7 +211,8 @@ def paint(
         )
         share = (is_real * strength * opacity)[..., None]
         at = (corner[1].astype(jnp.int32) + side, corner[0].astype(jnp.int32) + side, jnp.int32(0))
-        patch = jax.lax.dynamic_slice(canvas, at, (side, side, 3))
+        patch = jax.lax.dynamic_slice(canvas, at, (side, side, channels))
+        colour = jnp.pad(colour, (0, channels - 3))
         return jax.lax.dynamic_update_slice(canvas, patch * (1 - share) + share * colour[None, None, :], at), None
 
     canvas = jnp.pad(floor, ((side, side), (side, side), (0, 0)))

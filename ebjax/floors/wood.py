@@ -19,8 +19,8 @@ def _knots(p: Float[Array, "*s 2"], key: Key[Array, ""]) -> tuple[Float[Array, "
     centre = stretch(cell + 0.3 + 0.4 * own[..., :2], *cell_m)
     offset = stretch(p - centre, 1 / 2.2, 1.0)
     radius = jnp.sqrt(jnp.sum(offset**2, axis=-1) + 1e-10)
-    size = (0.004 + 0.011 * own[..., 2]) * (own[..., 3] < 0.3)
-    push = size * jnp.exp(-radius / (2.5 * size + 1e-4))
+    size = (0.004 + 0.011 * own[..., 2]) * (own[..., 3] < 0.14)
+    push = 1.4 * size * jnp.exp(-radius / (2.2 * size + 1e-4))
     return push, jax.nn.sigmoid((size - radius) / 0.0015) * (size > 0)
 
 
@@ -37,19 +37,19 @@ def reflectance(points: Float[Array, "*s 2"], floor: Material, *, key: Key[Array
     p = plank.pattern
     push, knot = _knots(p, knot_key)
     # Cathedrals: rings are level lines of a surface that rises slowly along the plank.
-    height = fractal_noise(stretch(p, 0.9, 5.5), key=swing, octaves=3) * 0.05 + p[..., 1] + push
-    rings = height * 55.0
+    height = fractal_noise(stretch(p, 0.9, 5.5), key=swing, octaves=3) * 0.07 + p[..., 1] + push
+    rings = height * 95.0
     ring = gradient_noise(jnp.stack([p[..., 0] * 0.8, rings], -1), key=ring_key)
-    late = jnp.clip(ring * 1.8 + 0.1, 0, 1) ** 1.5
+    late = jnp.clip(ring * 2.2 + 0.05, 0, 1)
     streak = fractal_noise(stretch(p, 2.0, 120.0), key=streak_key, octaves=3)
     pore = jnp.clip(2.2 * gradient_noise(stretch(p, 28.0, 260.0), key=pore_key) - 0.45, 0, 1)
     broad = fractal_noise(stretch(p, 1.0, 6.0), key=broad_key, octaves=3)
     tone = 1 + 0.42 * floor.dirt * (plank.random[..., 0] - 0.5)
     value = tone * jnp.clip(1 + 0.13 * streak + 0.16 * broad, 0.5, 1.6)
     warm = spread((0.40, 0.272, 0.165), value)
-    colour = mix(warm, spread((0.20, 0.115, 0.06), value), 0.75 * late)
+    colour = mix(warm, spread((0.20, 0.115, 0.06), value), 0.62 * late)
     colour = mix(colour, (0.11, 0.065, 0.035), jnp.clip(0.5 * pore, 0, 1))
-    colour = mix(colour, (0.075, 0.04, 0.022), 0.85 * knot)
+    colour = mix(colour, (0.075, 0.04, 0.022), 0.8 * knot)
     return mix(colour, (0.03, 0.02, 0.014), joint(plank.edge_m, floor.joint_m, floor.texel_m))
 
 

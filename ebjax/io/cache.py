@@ -11,6 +11,7 @@ import contextlib
 import hashlib
 import io
 import json
+import sys
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -19,6 +20,7 @@ from typing import Any
 import h5py
 import numpy as np
 
+import ebjax
 from ebjax.io.atomic import whole_file
 
 FORMAT = 1
@@ -44,6 +46,28 @@ def digest(*parts: bytes | np.ndarray) -> str:
             part = np.ascontiguousarray(part).tobytes()
         total.update(part)
     return total.hexdigest()[:32]
+
+
+def open_cache(
+    folder: str | Path, model: str, weights: Path | None, *, shard_s: float | int = SHARD_S, **settings: Any
+) -> "Cache":
+    """Opens the cache of a model; shards found damaged are named on stderr.
+
+    Args:
+      folder: of all caches.
+      model: what computes the arrays.
+      weights: its file, if it has one: the content counts, not the name.
+      shard_s: as in `Cache`.
+      settings: as in `Cache`; this version of ebjax is one.
+
+    Raises:
+      OSError: the folder or the weights cannot be read.
+    """
+    seen = None if weights is None else digest(weights.read_bytes())
+    cache = Cache(folder, model, {"ebjax": ebjax.__version__, "weights": seen, **settings}, shard_s=shard_s)
+    for shard in cache.damaged:
+        print(f"{shard}: damaged; it is left out and made again", file=sys.stderr)
+    return cache
 
 
 class Cache:

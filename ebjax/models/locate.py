@@ -1,13 +1,16 @@
-"""Where the weights of a network lie on this computer.
+"""Where the weights of a network lie on this computer, and the network that they make.
 
 One rule for every command: NAME.safetensors in the folder $EBJAX_WEIGHTS, by default ~/.cache/ebjax/weights; the option
---weights names another folder, or the file itself.
+--weights names another folder, or the file itself. --arithmetic chooses how it computes (`ebjax.models.fast`).
 """
 
 import os
 from pathlib import Path
 
-from ebjax.models.catalogue import find
+from flax import nnx
+
+from ebjax.models.catalogue import find, load_network
+from ebjax.models.fast import Arithmetic, accelerate
 
 
 def weights_folder() -> Path:
@@ -37,3 +40,25 @@ def locate(name: str, given: Path | None = None) -> Path:
             f"`python -m ebjax.models convert {model.file} {path}`"
         )
     return path
+
+
+def open_network(
+    name: str, weights: Path | None = None, arithmetic: Arithmetic = "exact", *, accepted: tuple[str, ...] = ()
+) -> tuple[Path, str, nnx.Module]:
+    """Loads a network: its file, which of the accepted ones it is, and the network.
+
+    Args:
+      name: a name of `ebjax.models.catalogue.MODELS`.
+      weights: as in `locate`.
+      arithmetic: "exact" float32 convolutions; "winograd", equal to rounding; "bfloat16", reduced precision.
+      accepted: names of others that will do.
+
+    Raises:
+      ValueError: there are no such weights, or they are another network's.
+      OSError: they cannot be read.
+    """
+    path = locate(name, weights)
+    kind, network = load_network(path)
+    if kind not in (name, *accepted):
+        raise ValueError(f"{path}: weights of {kind}, not of {name}")
+    return path, kind, accelerate(network, arithmetic)

@@ -12,15 +12,15 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
-import ebjax
 from ebjax.command import dump_config, progress, run
 from ebjax.geometry.camera import Camera
 from ebjax.geometry.warp import Taps
 from ebjax.io.atomic import whole_file
-from ebjax.io.cache import Cache, content_key, digest
+from ebjax.io.cache import Cache, content_key, digest, open_cache
 from ebjax.io.camera_file import read_camera
 from ebjax.io.image_folder import list_images, read_truth
 from ebjax.io.images import BrokenFrame, read_image
+from ebjax.models.fast import Arithmetic
 from ebjax.places.bench import CONTENDERS, bench
 from ebjax.places.descriptor import Descriptor, descriptor
 from ebjax.places.recall import recall_at
@@ -62,6 +62,8 @@ class PlacesConfig:
     resnet50 or vgg19 (flattened map), resnet50-pooled, vgg19-pooled."""
     weights: Path | None = None
     """Of a network: its .safetensors file, or a folder of them; None: $EBJAX_WEIGHTS or ~/.cache/ebjax/weights."""
+    arithmetic: Arithmetic = "exact"
+    """Of a network: float32 convolutions, the same by Winograd's algorithm (equal to rounding), or in part bfloat16."""
     ranking: Literal["auto", "correlation", "cosine"] = "auto"
     """The paper's cosine of global descriptors, or shift-maximised correlation of maps (rootsift-vlad only, and its
     default)."""
@@ -124,16 +126,14 @@ class Looker:
         if self.config.cache is not None:
             assert self.samples is not None
             arrays = (np.asarray(leaf) for leaf in (*jax.tree.leaves(self.samples), self.seen))
-            weights = self.descriptor.weights
-            settings = {
-                "ebjax": ebjax.__version__,
-                "weights": None if weights is None else digest(weights.read_bytes()),
-                "view": digest(*arrays),
-                "side_px": self.descriptor.side_px,
-            }
-            self.cache = Cache(self.config.cache, self.config.descriptor, settings)
-            for shard in self.cache.damaged:
-                print(f"{shard}: damaged; its images are described again", file=sys.stderr)
+            self.cache = open_cache(
+                self.config.cache,
+                self.config.descriptor,
+                self.descriptor.weights,
+                arithmetic=self.config.arithmetic,
+                view=digest(*arrays),
+                side_px=self.descriptor.side_px,
+            )
 
     def _choose_view(self, size: tuple[int, int]) -> None:
         side = self.descriptor.side_px
@@ -192,7 +192,7 @@ def main(config: PlacesConfig) -> None:
         raise ValueError(f"--top is {config.top}; give a number of candidates, 1 or more")
     if config.raw and config.descriptor == "joint":
         raise ValueError("--descriptor joint needs a floor beside the whole image: give --camera or --quad, not --raw")
-    chosen = descriptor(config.descriptor, config.weights)
+    chosen = descriptor(config.descriptor, config.weights, config.arithmetic)
     check_ranking(config.ranking, chosen.has_maps)
     looker = Looker(config, chosen)
     names = [list_images(config.database)]

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from jaxtyping import Array, Float
 
+from ebjax.models.fast import Arithmetic
 from ebjax.places.descriptor_map import MapSpace
 
 DESCRIPTORS = {
@@ -22,12 +23,12 @@ DESCRIPTORS = {
     "joint": "ebjax.places.joint:JOINT",
     "netvlad": "ebjax.places.netvlad:netvlad",
     "superpoint": "ebjax.places.superpoint:superpoint",
-    "resnet50": "ebjax.places.resnet50:resnet50",
-    "resnet50-pooled": "ebjax.places.resnet50:resnet50_pooled",
-    "vgg19": "ebjax.places.vgg19:vgg19",
-    "vgg19-pooled": "ebjax.places.vgg19:vgg19_pooled",
+    "resnet50": "ebjax.places.backbones:resnet50",
+    "resnet50-pooled": "ebjax.places.backbones:resnet50_pooled",
+    "vgg19": "ebjax.places.backbones:vgg19",
+    "vgg19-pooled": "ebjax.places.backbones:vgg19_pooled",
 }
-"""Each is a `Descriptor` or, for a network, a function of its weights file that gives one."""
+"""Each is a `Descriptor` or, for a network, a function of its weights file and its arithmetic that gives one."""
 
 
 @typing.no_type_check
@@ -66,13 +67,14 @@ class Descriptor:
 
 
 @functools.cache
-def descriptor(name: str, weights: Path | None = None) -> Descriptor:
+def descriptor(name: str, weights: Path | None = None, arithmetic: Arithmetic = "exact") -> Descriptor:
     """Looks a descriptor up and imports it.
 
     Args:
       name: one of DESCRIPTORS.
       weights: of a network: a .safetensors file, or a folder that holds NAME.safetensors; None looks in the usual
         place, see `ebjax.models.locate`. The others need none.
+      arithmetic: of a network, see there.
 
     Raises:
       ValueError: no such name; a network without weights, or with another's.
@@ -82,4 +84,4 @@ def descriptor(name: str, weights: Path | None = None) -> Descriptor:
         raise ValueError(f"descriptor {name!r} is unknown; choose one of {', '.join(DESCRIPTORS)}")
     module, attribute = DESCRIPTORS[name].split(":")
     found = getattr(importlib.import_module(module), attribute)
-    return found if isinstance(found, Descriptor) else found(weights)
+    return found if isinstance(found, Descriptor) else found(weights, arithmetic)

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ebjax.models.fast import Arithmetic
 from ebjax.models.layers import normalise
 from ebjax.models.netvlad import NetVLAD
 from ebjax.places.descriptor import Descriptor, Places
@@ -35,6 +36,6 @@ def unite(kept: Mapping[str, np.ndarray], *, seed: int = 0) -> Places:
     return Places(jnp.asarray(kept["vectors"].transpose(0, 2, 1)))
 
 
-def netvlad(weights: Path | None) -> Descriptor:
+def netvlad(weights: Path | None, arithmetic: Arithmetic) -> Descriptor:
     """Of the authors' files, or of pytorch-NetVlad and Patch-NetVLAD."""
-    return network_descriptor("netvlad", weights, read, unite, side_px=SIDE_PX, accepted=("netvlad-nanne",))
+    return network_descriptor("netvlad", weights, arithmetic, read, unite, side_px=SIDE_PX, accepted=("netvlad-nanne",))

@@ -14,8 +14,8 @@ import jax.numpy as jnp
 from flax import nnx
 from jaxtyping import Array, Bool, Float
 
-from ebjax.models.catalogue import load_network
-from ebjax.models.locate import locate
+from ebjax.models.fast import Arithmetic
+from ebjax.models.locate import open_network
 from ebjax.places.descriptor import Descriptor, Places
 from ebjax.places.view import filled, resized
 
@@ -25,6 +25,7 @@ Read = Callable[[Any, Float[Array, "2 H W 3"], Float[Array, "2 H W"]], Mapping[s
 def network_descriptor(
     name: str,
     weights: Path | None,
+    arithmetic: Arithmetic,
     read: Read,
     unite: Callable[..., Places],
     *,
@@ -36,6 +37,7 @@ def network_descriptor(
     Args:
       name: of the network in `ebjax.models.catalogue`.
       weights: a .safetensors file, a folder of them, or None for the usual place.
+      arithmetic: see `ebjax.models.locate.open_network`.
       read: (network; the view and the turned view, RGB in [0, 1]; what they show, 1 or 0) -> what is kept.
       unite: as in `Descriptor`.
       side_px: the longer side of what the network sees.
@@ -44,10 +46,7 @@ def network_descriptor(
     Raises:
       ValueError: there are no such weights, or they are another network's.
     """
-    path = locate(name, weights)
-    kind, network = load_network(path)
-    if kind not in (name, *accepted):
-        raise ValueError(f"{path}: weights of {kind}, not of {name}")
+    path, _, network = open_network(name, weights, arithmetic, accepted=accepted)
     graph, state = nnx.split(network)
 
     # The weights are arguments of one program: as constants in it they would be compiled.

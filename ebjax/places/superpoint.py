@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from ebjax.models.fast import Arithmetic
 from ebjax.models.superpoint import SuperPoint
 from ebjax.places.descriptor import Descriptor, Places
 from ebjax.places.network import network_descriptor
@@ -51,6 +52,8 @@ def unite(kept: Mapping[str, np.ndarray], *, seed: int = 0) -> Places:
     return Places(_aggregate(maps, cells, words))
 
 
-def superpoint(weights: Path | None) -> Descriptor:
+def superpoint(weights: Path | None, arithmetic: Arithmetic) -> Descriptor:
     """Of Magic Leap's weights, or v6."""
-    return network_descriptor("superpoint", weights, read, unite, side_px=SIDE_PX, accepted=("superpoint-v6",))
+    return network_descriptor(
+        "superpoint", weights, arithmetic, read, unite, side_px=SIDE_PX, accepted=("superpoint-v6",)
+    )

@@ -7,7 +7,9 @@ false ones do not agree with their neighbours. Two neighbouring loops and the od
 distance D and covariance S; among loops drawn at random from the space of poses, of volume V, a cycle closes at least
 as well with probability p = ball(D) sqrt(det S) / V. A loop is believed if K M p < 1 for one of its M neighbours, so
 that less than one of K random loops is believed in all (a contrario, Desolneux et al. 2000). Loops that
-nothing confirms are not lost: the solution found without them decides.
+nothing confirms are not lost: the solution found without them decides. Where the test has no power, no loop being
+confirmed, all are on an equal footing, as in "gnc-tls"; where least squares on all loops passes the chi-square test,
+none is doubted (`ebjax.posegraph.gnc`).
 """
 
 from math import gamma, pi

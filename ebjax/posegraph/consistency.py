@@ -14,7 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ebjax.geometry.lie import GROUPS, small_matmul
+from ebjax.geometry.lie import GROUPS
+from ebjax.geometry.small_angle import small_matmul
 from ebjax.posegraph.robust import CHI2_99
 
 _NODES, _WORK = 20_000, 10_000_000  # a node of the search costs as much work as there are closures, at most

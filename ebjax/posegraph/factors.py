@@ -10,7 +10,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from ebjax.geometry.lie import GROUPS, small_matmul
+from ebjax.geometry.lie import GROUPS
+from ebjax.geometry.small_angle import small_matmul
 from ebjax.posegraph.graph import PoseGraph
 from ebjax.posegraph.robust import Width, rho, weight
 

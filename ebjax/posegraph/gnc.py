@@ -17,7 +17,7 @@ from ebjax.posegraph.factors import edge_costs, squared_residuals
 from ebjax.posegraph.graph import PoseGraph
 from ebjax.posegraph.levenberg import Solution, minimise
 from ebjax.posegraph.linear import Structure
-from ebjax.posegraph.robust import Graduated
+from ebjax.posegraph.robust import Graduated, chi_square_999
 
 GRADUATED = ("gnc-tls", "gnc-gm", "consensus")
 _STEPS = 4  # at one softness
@@ -28,8 +28,11 @@ _SHARP = 1 / 16  # a softness below this is as good as none
 class _State(NamedTuple):
     found: Solution
     softness: Float[Array, ""]
-    stage: Int[Array, ""]  # 0 up to the sharp minimum of the first width, then 1
+    stage: Int[Array, ""]
     short: Bool[Array, ""]
+
+
+_FIT, _HARDEN, _SHARPEN, _DONE = range(4)
 
 
 def graduate(
@@ -44,38 +47,52 @@ def graduate(
 ) -> Solution:
     """As `levenberg.minimise`, for the kernels in `GRADUATED`; an edge of width 0 does not count.
 
-    Where `first` is given the kernel hardens at that width, and what it finds is the start for the sharp kernel at
-    `width`. Up to `max_steps` steps are tried while the kernel hardens, as many with each sharp one; `iterations`
-    counts all. If the first are used up before it is hard, so says `status`.
+    Where `first` is given least squares on all edges comes first: if they pass the chi-square test together and each
+    robust one lies within `width`, nothing is to be doubted. Else the kernel hardens at the width `first`. Either is
+    the start for the sharp kernel at `width`. Up to `max_steps` steps are tried while the kernel hardens, as many at
+    each other stage; `iterations` counts all. If the first are used up before it is hard, so says `status`.
     """
     start = graph.lie.normalise(jnp.asarray(graph.poses))
-    widths = jnp.stack([jnp.broadcast_to(w, (len(graph.i),)) for w in (width if first is None else first, width)])
-    last_stage = 0 if first is None else 1
-    tiny = jnp.finfo(start.dtype).tiny
-    s = squared_residuals(graph, start)
-    wide = jnp.asarray(graph.robust) & (widths[0] > 0)
-    farthest = jnp.max(jnp.where(wide, s / jnp.maximum(widths[0] ** 2, tiny), 0), initial=0)
+    robust, limits = jnp.asarray(graph.robust), jnp.finfo(start.dtype)
+    final = jnp.broadcast_to(jnp.asarray(width, start.dtype), robust.shape)
+    hard = final if first is None else first
+    widths = jnp.stack([jnp.full_like(final, jnp.sqrt(limits.max) / 2), hard, final])
+    freedom = graph.lie.dim * (robust.size - jnp.sum(~jnp.asarray(graph.fixed)))
 
-    def harden(state):
-        soft, so_far = state.softness > 0, state.found.iterations
+    def worst(poses, width):
+        """The largest squared residual of a robust edge that counts, in squared widths."""
+        s = squared_residuals(graph, poses)
+        return jnp.max(jnp.where(robust & (width > 0), s / jnp.maximum(width**2, limits.tiny), 0), initial=0)
+
+    softest = jnp.maximum(2 * worst(start, hard) - 1, 0)
+
+    def step(state):
+        fitting, hardening = state.stage == _FIT, state.stage == _HARDEN
         found = minimise(
             replace(graph, poses=state.found.poses),
             structure,
             kernel,
             Graduated(widths[state.stage], state.softness),
-            jnp.where(soft, jnp.minimum(_STEPS, max_steps), max_steps),
-            jnp.where(soft, _RTOL, rtol),
+            jnp.where(hardening, jnp.minimum(_STEPS, max_steps), max_steps),
+            jnp.where(hardening, _RTOL, rtol),
             report,
         )
-        found = replace(found, initial_cost=state.found.initial_cost, iterations=so_far + found.iterations)
-        short = state.short | (soft & (found.iterations >= max_steps))
-        softness = jnp.where(short | (state.softness < 2 * _SHARP), 0, state.softness / 2)
-        return _State(found, softness, jnp.where(soft, 0, state.stage + 1), short)
+        tried = state.found.iterations + found.iterations
+        short = state.short | (hardening & (tried >= max_steps))
+        fits = (found.cost <= chi_square_999(freedom)) & (worst(found.poses, final) <= 1)
+        harder = jnp.where(short | (state.softness < 2 * _SHARP), 0, state.softness / 2)
+        softness = jnp.where(fitting, jnp.where(fits, 0, softest), harder)
+        stage = jnp.where(state.stage == _SHARPEN, _DONE, jnp.where(softness > 0, _HARDEN, _SHARPEN))
+        poses = jnp.where(fitting & ~fits, start, found.poses)
+        found = replace(found, poses=poses, initial_cost=state.found.initial_cost, iterations=tried)
+        return _State(found, softness, stage.astype(jnp.int32), short)
 
     none, zero = jnp.zeros((), jnp.int32), jnp.zeros((), start.dtype)
     before = jnp.sum(edge_costs(graph, start, kernel, width))
-    begin = _State(
-        Solution(start, zero, before, none, none), jnp.maximum(2 * farthest - 1, 0), none, jnp.asarray(False)
-    )
-    end = jax.lax.while_loop(lambda state: state.stage <= last_stage, harden, begin)
+    begin = Solution(start, zero, before, none, none)
+    if first is None:
+        state = _State(begin, softest, none + _HARDEN, jnp.asarray(False))
+    else:
+        state = _State(begin, zero, none + _FIT, jnp.asarray(False))
+    end = jax.lax.while_loop(lambda state: state.stage < _DONE, step, state)
     return replace(end.found, status=jnp.where(end.short & (end.found.status == 0), 1, end.found.status))

@@ -40,8 +40,8 @@ def solve(
       graph: without edges, or with fewer than two poses, it is returned as it is, cost 0, converged.
       kernel: "none", "cauchy", "huber", "geman-mcclure", "dcs", "tls"; graduated (`ebjax.posegraph.gnc`): "gnc-tls",
         "gnc-gm"; or a choice of loops first (`ebjax.posegraph.consensus`, not under jit), the edges between successive
-        rows being believed: "pcm" is Cauchy on the largest consistent set, "consensus" gnc-tls on the loops that
-        others confirm, then tls on all from there.
+        rows being believed: "pcm" is Cauchy on the largest consistent set, "consensus" is least squares where that fits
+        all loops, else gnc-tls on the loops that others confirm, then tls on all from there.
       width: of the kernel, in standard deviations, one for all edges or one per edge; None is 1, and for the kernels
         that cut off the root of the 99.9 % point of chi-square with as many degrees of freedom as a pose.
       max_steps: steps tried at most, accepted or not.
@@ -95,7 +95,7 @@ def _call(graph, kernel, width, max_steps, rtol, solver, structure, report, func
         if kernel == "pcm":
             information = np.asarray(information) * (chosen.kept | ~chosen.loop)[:, None, None]
         else:
-            first = jnp.asarray(width * chosen.kept, dtype)
+            first = jnp.asarray(width * (chosen.kept if chosen.kept.any() else chosen.loop), dtype)
     if structure is None:
         structure = analyse(graph, solver)
     params = tuple(jnp.asarray(x, dtype) for x in (graph.poses, graph.measured, information, width))

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 CHI2_99 = {3: 11.345, 6: 16.812}  # points of the chi-square distribution by degrees of freedom
 CHI2_999 = {3: 16.266, 6: 22.458}
@@ -94,6 +94,12 @@ WEIGHTS: dict[str, Callable] = {
     "consensus": _tls_weight,
     "pcm": lambda s, w2, t: w2 / (w2 + s),
 }
+
+
+def chi_square_999(freedom: Int[Array, "*n"]) -> Float[Array, "*n"]:
+    """The 99.9 % point of the chi-square distribution, to 2 % (Wilson, Hilferty 1931); 0 without freedom."""
+    n = jnp.maximum(freedom, 1).astype(jnp.result_type(float))
+    return jnp.where(freedom > 0, n * (1 - 2 / (9 * n) + 3.0902 * jnp.sqrt(2 / (9 * n))) ** 3, 0)
 
 
 def default_width(kernel: str, dim: int) -> float:

@@ -134,8 +134,8 @@ def _solve_group(solver, values, columns, lower):
     x = np.stack([solver.solve(c) for c in columns])
     if lower is not None:
         half = scipy.sparse.csc_array((values, *lower), shape=(columns.shape[1],) * 2)
-        full = half + scipy.sparse.tril(half, -1).T
-        x += np.stack([solver.solve(c) for c in columns - x @ full])
+        product = half @ x.T + half.T @ x.T - half.diagonal()[:, None] * x.T
+        x += np.stack([solver.solve(c) for c in columns - product.T])
     return x
 
 

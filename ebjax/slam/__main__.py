@@ -1,9 +1,11 @@
 """Closes loops from opposing views on a run and corrects its trajectory."""
 
+import contextlib
 import dataclasses
 import resource
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -17,10 +19,11 @@ from ebjax.floors.__main__ import render_sequence
 from ebjax.floors.sequence import CorridorConfig
 from ebjax.geometry.camera import Camera, FloorView
 from ebjax.io.atomic import whole_folder
+from ebjax.io.cache import open_cache
 from ebjax.io.sequence import BrokenFrame, Sequence, read_sequence
 from ebjax.places.recall import facing_pairs, precision_100, recall_at_1
 from ebjax.slam.floor import camera_from_depth, floor_error_m
-from ebjax.slam.pipeline import PipelineConfig, Result
+from ebjax.slam.pipeline import PipelineConfig, Remember, Result
 from ebjax.slam.pipeline import run as run_pipeline
 from ebjax.slam.select import SelectConfig
 from ebjax.slam.view import choose_floor, from_camera, from_quad
@@ -60,6 +63,8 @@ class Config(PipelineConfig):
     """Share of frames that must have odometry (and depth)."""
     min_readable: float = 0.5
     """Share of frames that must be readable; fewer end the run."""
+    cache: Path | None = None
+    """Folder where what networks make of every view stays for the next run; None: nowhere."""
 
 
 class Frames:
@@ -67,15 +72,20 @@ class Frames:
 
     def __init__(self, sequence: Sequence):
         self.sequence = sequence
-        self.broken: dict[str, str] = {}
+        self._faults: dict[int, str] = {}
 
     def load(self, k: int):
         """RGB and depth of frame k, or None."""
         try:
             return self.sequence.rgb(k), self.sequence.depth(k) if self.sequence.has_depth else None
         except BrokenFrame as fault:
-            self.broken[self.sequence.names[k]] = " ".join(str(fault).split())
+            self._faults[k] = " ".join(str(fault).split())
             return None
+
+    @property
+    def broken(self) -> dict[str, str]:
+        """What is wrong with the frames that could not be read, by name, in the order of the run."""
+        return {self.sequence.names[k]: self._faults[k] for k in sorted(self._faults)}
 
 
 def main(config: Config) -> None:
@@ -107,7 +117,9 @@ def main(config: Config) -> None:
 
     odometry = planar(sequence.odom_from_base)
     try:
-        result = run_pipeline(frames.load, sequence.timestamps, odometry, camera, view, config, progress)
+        with contextlib.ExitStack() as at_end:
+            known = remembering(config, at_end)
+            result = run_pipeline(frames.load, sequence.timestamps, odometry, camera, view, config, progress, known)
     except ValueError as fault:
         if not frames.broken:
             raise
@@ -123,6 +135,20 @@ def main(config: Config) -> None:
         write_run(folder, sequence, frames.load, result, view, metrics, config.map_metres_per_px)
         dump_config(config, folder / "config.yaml")
     print_summary(config, metrics)
+
+
+def remembering(config: Config, at_end: contextlib.ExitStack) -> Remember | None:
+    """What looks up in --cache what networks made of a view; the last of what is new is written at the end."""
+    if config.cache is None:
+        return None
+    folder = config.cache
+
+    def remember(name: str, weights: Path | None) -> Callable[[Callable], Callable]:
+        cache = open_cache(folder, name, weights, arithmetic=config.arithmetic, use="slam")
+        at_end.callback(cache.flush)
+        return cache.remember
+
+    return remember
 
 
 def run_camera(config: Config, sequence: Sequence, frames: Frames) -> Camera:
@@ -177,7 +203,7 @@ def run_metrics(sequence: Sequence, frames: Frames, result: Result, centre_m: np
         "frames": len(sequence),
         "keyframes": len(result.keyframes),
         "travelled_m": round(travelled, 3),
-        "broken_frames": dict(frames.broken),
+        "broken_frames": frames.broken,
         "frames_without_odometry": dict(sequence.dropped),
         "candidates": len(candidates.i),
         "closures_kept": int(kept.sum()),

@@ -7,6 +7,7 @@ Numerical only: images come from a `load` function, results go back as arrays; f
 
 import dataclasses
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
@@ -17,8 +18,10 @@ from jaxtyping import Bool, Float, Int
 
 from ebjax.features.extractor import Extractor, extractor
 from ebjax.features.measure import LoopMeasurement, measure_depth, measure_floor
+from ebjax.features.remember import remembered
 from ebjax.features.verify import Verified, verify
 from ebjax.geometry.camera import Camera
+from ebjax.models.fast import Arithmetic
 from ebjax.places.descriptor import descriptor
 from ebjax.places.retrieve import LoopCandidates, comparable
 from ebjax.places.search import check_ranking, search
@@ -30,6 +33,7 @@ from ebjax.slam.keyframes import Load, Progress, describe_keyframes, moved_enoug
 from ebjax.slam.select import KEPT, Measured, Odometry, SelectConfig, plausible, select
 from ebjax.slam.view import RunView
 
+Remember = Callable[[str, Path | None], Callable[[Callable], Callable]]
 MIN_DEPTH_INLIERS = 8
 PAIRS_A_CALL = 64
 
@@ -48,6 +52,8 @@ class PipelineConfig:
     """Local features: rootsift (upright, on corners), sift, orb, surf, or a network: superpoint, d2net, alike."""
     weights: Path | None = None
     """Of a network: its .safetensors file, or a folder of them; None: $EBJAX_WEIGHTS or ~/.cache/ebjax/weights."""
+    arithmetic: Arithmetic = "exact"
+    """Of a network: float32 convolutions, the same by Winograd's algorithm (equal to rounding), or in part bfloat16."""
     keyframe_m: float = 0.15
     """A frame is looked at when the robot has moved so far since the last one, m."""
     keyframe_deg: float = 10.0
@@ -62,7 +68,7 @@ class PipelineConfig:
     """Largest distance of matching points on the floor, m."""
     kernel: Literal[
         "cauchy", "none", "huber", "geman-mcclure", "dcs", "tls", "gnc-tls", "gnc-gm", "pcm", "consensus"
-    ] = "cauchy"
+    ] = "consensus"
     """How the pose graph survives false closures among those selected, as in `ebjax.posegraph.solve`."""
     kernel_width: float | None = None
     """Width of that kernel, standard deviations; None is 1, and for those that cut off the 99.9 % point."""
@@ -114,6 +120,7 @@ def run(
     view: RunView,
     config: PipelineConfig,
     progress: Progress = lambda items, total, label: iter(items),
+    remember: Remember | None = None,
 ) -> Result:
     """Runs the pipeline on a whole sequence.
 
@@ -125,6 +132,7 @@ def run(
       view: the floor it looks at.
       config: see there.
       progress: wraps the long loop.
+      remember: of a network's name and weights, gives what wraps its functions so that they look up what they know.
 
     Raises:
       ValueError: fewer than two frames could be read.
@@ -135,8 +143,13 @@ def run(
         seconds[name] = time.perf_counter() - start
 
     start = time.perf_counter()
-    chosen, place = extractor(config.extractor, config.weights), descriptor(config.descriptor, config.weights)
+    networks = config.weights, config.arithmetic
+    chosen, place = extractor(config.extractor, *networks), descriptor(config.descriptor, *networks)
     check_ranking(config.ranking, place.has_maps)
+    if remember is not None and not chosen.jitted:
+        chosen = remembered(chosen, remember(config.extractor, chosen.weights))
+    if remember is not None and not place.jitted:
+        place = dataclasses.replace(place, look=remember(config.descriptor, place.weights)(place.look))
     frames = moved_enough(odom_from_base, config.keyframe_m, config.keyframe_deg)
     keyframes, described = describe_keyframes(load, frames, camera, view, chosen, place, progress)
     stage("describe", start)

@@ -93,3 +93,12 @@ def test_networks_refuse_without_their_weights(weights, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     with pytest.raises(ValueError, match=str(tmp_path / "ebjax" / "weights" / "d2net.safetensors")):
         locate("d2net")
+
+
+def test_winograd_finds_the_same(weights):
+    floor, seen = texture((192, 224)), jnp.ones((192, 224), bool)
+    exact, fast = (extractor("superpoint", weights, way).extract(floor, seen) for way in ("exact", "winograd"))
+    np.testing.assert_array_equal(exact.valid, fast.valid)
+    close = np.abs(np.asarray(exact.keypoints - fast.keypoints)[np.asarray(exact.valid)]).max(1) < 1e-3
+    assert close.mean() > 0.95  # equal to rounding, which may swap equal scores
+    np.testing.assert_allclose(exact.descriptors[exact.valid][close], fast.descriptors[fast.valid][close], atol=1e-3)

@@ -18,16 +18,16 @@ def crossing():
 
 
 def test_corridors_that_cross_share_one_floor():
-    config = FloorConfig(family="glazed", texel_m=0.01, wear_per_m2=6.0)
+    config = FloorConfig(family="concrete", texel_m=0.02, wear_per_m2=6.0)
     one = floor_of(CROSS, config, key=jax.random.key(0))
     assert one.texture.texels.dtype == jnp.float16
     columns = [one.columns[::-1], one.origins[::-1], one.directions[::-1], one.lengths[::-1]]
     other = replace(one, columns=columns[0], origins=columns[1], directions=columns[2], lengths=columns[3])
     x, y = crossing()
     by_first, by_second = (look(atlas, locate(atlas, x, y), NARROW) for atlas in (one, other))
-    assert by_first.std() > 0.03
+    assert by_first.std() > 0.01
     # Two rasters of one floor: equal up to the texel, so edges differ and most of the floor does not.
-    assert jnp.median(jnp.abs(by_first - by_second)) < 0.01 and jnp.mean(jnp.abs(by_first - by_second)) < 0.03
+    assert jnp.median(jnp.abs(by_first - by_second)) < 0.005 and jnp.mean(jnp.abs(by_first - by_second)) < 0.01
 
 
 def test_a_point_is_found_in_its_strip():

@@ -15,11 +15,11 @@ def painted(floor, kind, centres, direction=EAST, strength=1.0, texel=0.01):
 
 
 def test_each_kind_of_mark_is_visible_and_stays_in_its_patch():
-    axis = jnp.linspace(-0.5, 0.5, 101)
+    axis = jnp.linspace(-0.5, 0.5, 51)
     for kind in KINDS.values():
         grid = kind.patch_m * jnp.stack(jnp.meshgrid(axis, axis), axis=-1)
         paint_one = jax.jit(jax.vmap(lambda k, kind=kind, grid=grid: kind.paint(k, grid)))
-        opacity, colour = paint_one(jax.random.split(jax.random.key(0), 20))
+        opacity, colour = paint_one(jax.random.split(jax.random.key(0), 8))
         assert jnp.all((opacity >= 0) & (opacity <= 1)) and jnp.all((colour >= 0) & (colour <= 1))
         assert jnp.all(opacity.max((1, 2)) > 0.1)
         border = jnp.concatenate([opacity[:, 0], opacity[:, -1], opacity[:, :, 0], opacity[:, :, -1]], axis=1)

@@ -1,3 +1,5 @@
+from functools import partial
+
 import cv2
 import jax
 import jax.numpy as jnp
@@ -8,6 +10,11 @@ from scipy.ndimage import gaussian_filter
 from ebjax.models.rootsift import describe, pool_orientations, root_normalise, rotate_pi_descriptor
 
 SIZE = (61, 83)
+
+
+@partial(jax.jit, static_argnames="bin_px")
+def described(grey, seen, at, bin_px=6.0):
+    return describe(pool_orientations(grey, seen, bin_px), at)
 
 
 def texture(size=SIZE, seed=0, sigma=2.0, dtype=np.float64):
@@ -29,8 +36,8 @@ def test_turned_image_has_the_turned_descriptors(bin_px):
     seen[:, :9] = 0
     at = jnp.asarray(np.random.default_rng(1).uniform(0, np.array(size[::-1]) - 1, (40, 2)))
     turned = jnp.array([size[1] - 1.0, size[0] - 1.0])[None, :] - at
-    straight, share = describe(pool_orientations(grey, jnp.asarray(seen), bin_px), at)
-    other, other_share = describe(pool_orientations(grey[::-1, ::-1], jnp.asarray(seen[::-1, ::-1]), bin_px), turned)
+    straight, share = described(grey, jnp.asarray(seen), at, bin_px)
+    other, other_share = described(grey[::-1, ::-1], jnp.asarray(seen[::-1, ::-1]), turned, bin_px)
     np.testing.assert_allclose(other, rotate_pi_descriptor(straight), atol=1e-5)
     np.testing.assert_allclose(other_share, share, atol=1e-9)
 
@@ -42,8 +49,7 @@ def test_turning_twice_is_nothing():
 
 def test_descriptors_are_unit_and_keep_the_dtype():
     for dtype in (np.float32, np.float64):
-        pooled = pool_orientations(texture(dtype=dtype), jnp.ones(SIZE, dtype), 6.0)
-        descriptors, share = describe(pooled, points(margin=15).astype(dtype))
+        descriptors, share = described(texture(dtype=dtype), jnp.ones(SIZE, dtype), points(margin=15).astype(dtype))
         assert descriptors.dtype == share.dtype == dtype
         np.testing.assert_allclose(np.linalg.norm(descriptors, axis=1), 1, atol=1e-3)
         np.testing.assert_allclose(share, 1, atol=0.05)
@@ -51,8 +57,8 @@ def test_descriptors_are_unit_and_keep_the_dtype():
 
 def test_contrast_and_brightness_do_not_matter():
     at = points(margin=15)
-    one, _ = describe(pool_orientations(texture(), jnp.ones(SIZE), 6.0), at)
-    other, _ = describe(pool_orientations(0.3 * texture() + 0.5, jnp.ones(SIZE), 6.0), at)
+    one, _ = described(texture(), jnp.ones(SIZE), at)
+    other, _ = described(0.3 * texture() + 0.5, jnp.ones(SIZE), at)
     np.testing.assert_allclose(one, other, atol=1e-4)
 
 
@@ -62,8 +68,8 @@ def test_what_is_not_seen_does_not_matter():
     other = np.array(texture())
     other[:, 50:] = np.random.default_rng(5).random((SIZE[0], SIZE[1] - 50))
     at = points()
-    one, share = describe(pool_orientations(texture(), jnp.asarray(seen), 6.0), at)
-    two, _ = describe(pool_orientations(jnp.asarray(other), jnp.asarray(seen), 6.0), at)
+    one, share = described(texture(), jnp.asarray(seen), at)
+    two, _ = described(jnp.asarray(other), jnp.asarray(seen), at)
     np.testing.assert_allclose(one, two, atol=1e-9)
     far = np.asarray(at)[:, 0] > 50 + 2 * 6 + 6
     assert far.any() and np.all(np.asarray(share)[far] == 0) and np.all(np.abs(np.asarray(one)[far]) < 1e-3)
@@ -73,10 +79,10 @@ def test_gradients_are_finite_and_match_central_differences():
     at, weights = points(6, margin=12), jnp.asarray(np.random.default_rng(3).standard_normal((6, 128)))
 
     def value(grey, where):
-        return jnp.sum(weights * describe(pool_orientations(grey, jnp.ones(SIZE), 6.0), where)[0])
+        return jnp.sum(weights * described(grey, jnp.ones(SIZE), where)[0])
 
     grey = texture()
-    by_grey, by_points = jax.grad(value, argnums=(0, 1))(grey, at)
+    by_grey, by_points = jax.jit(jax.grad(value, argnums=(0, 1)))(grey, at)
     assert np.isfinite(by_grey).all() and np.isfinite(by_points).all()
     random = np.random.default_rng(4)
     for _ in range(3):
@@ -89,7 +95,7 @@ def test_gradients_are_finite_and_match_central_differences():
 
 
 def test_flat_images_have_finite_gradients():
-    gradient = jax.grad(lambda grey: describe(pool_orientations(grey, jnp.ones(SIZE), 6.0), points())[0].sum())
+    gradient = jax.jit(jax.grad(lambda grey: described(grey, jnp.ones(SIZE), points())[0].sum()))
     assert np.isfinite(gradient(jnp.full(SIZE, 0.5))).all()
     assert np.isfinite(jax.grad(lambda h: root_normalise(h).sum())(jnp.zeros((2, 128)))).all()
 
@@ -105,7 +111,7 @@ def test_agrees_with_opencv_upright_sift():
     # OpenCV counts orientations with y up.
     theirs = theirs.reshape(-1, 4, 4, 8)[..., -np.arange(8) % 8].reshape(-1, 128)
     theirs = root_normalise(jnp.asarray(theirs, jnp.float64))
-    ours, _ = describe(pool_orientations(grey, jnp.ones(size), bin_px), jnp.asarray(at, jnp.float64))
+    ours, _ = described(grey, jnp.ones(size), jnp.asarray(at, jnp.float64), bin_px)
     similarity = np.asarray(ours) @ np.asarray(theirs).T
     assert np.median(np.diag(similarity)) > 0.97
     assert np.min(np.diag(similarity)) > 0.9

@@ -1,14 +1,17 @@
 from dataclasses import replace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from ebjax.posegraph import STATUS, solve
 from ebjax.posegraph.bench import corridor
 from ebjax.posegraph.consensus import believed
 from ebjax.posegraph.falseloops import add_false_loops, error_m, loops_of
 from ebjax.posegraph.init import odometry
+from ebjax.posegraph.robust import chi_square_999
 
 
 @pytest.fixture(name="run", scope="module")
@@ -52,6 +55,32 @@ def test_drift_is_corrected_where_closures_scatter_less_than_promised():
     clean = solve(drifting, kernel="none").poses
     assert error_m(drifting.poses, clean, "se2") > 1
     assert error_m(solve(drifting, kernel="consensus").poses, clean, "se2") < 1e-3
+
+
+def test_what_fits_is_least_squares(ring):
+    graph, _ = ring(n=80, loops=20, noise=0.02)
+    plain = replace(graph, robust=loops_of(graph), information=np.asarray(graph.information) / 10)
+    clean = solve(plain, kernel="none")
+    found = solve(plain, kernel="consensus")
+    assert error_m(found.poses, clean.poses, "se2") < 1e-7
+    np.testing.assert_allclose(found.cost, clean.cost, rtol=1e-9)
+
+
+def test_loops_far_apart_count_although_none_confirms_another(run, only):
+    graph = spoil(run, 0.5)
+    loops = np.flatnonzero(loops_of(graph))
+    sparse = only(graph, ~loops_of(graph) | np.isin(np.arange(len(graph.i)), loops[[0, 31]]))
+    assert not believed(sparse, "consensus").kept.any()
+    true = only(sparse, np.arange(len(sparse.i)) < len(sparse.i) - 1)
+    best = solve(true, kernel="none").poses
+    assert error_m(sparse.poses, best, "se2") > 0.01
+    assert error_m(solve(sparse, kernel="consensus").poses, best, "se2") < 1e-5
+
+
+def test_chi_square_point():
+    freedom = np.array([3, 6, 60, 5000])
+    np.testing.assert_allclose(chi_square_999(jnp.asarray(freedom)), chi2.ppf(0.999, freedom), rtol=0.02)
+    assert float(chi_square_999(jnp.asarray(0))) == 0
 
 
 def test_pairwise_consistency_by_name(run):

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ebjax.geometry.lie import se2_compose, se2_exp, se2_inverse
+from ebjax.geometry import se2
 from ebjax.posegraph.consistency import all_cycles, consistent_set, largest_clique, make_loops
 from ebjax.posegraph.robust import CHI2_99
 
@@ -16,14 +16,14 @@ def corridor(n=600, closures=40, bad=0, seed=0):
     rng = np.random.default_rng(seed)
     step = np.zeros((n - 1, 3))
     step[:, 0], step[n // 2 - 1, 2] = 0.05, np.pi
-    walk = jax.jit(lambda s: jax.lax.scan(lambda p, d: (se2_compose(p, d),) * 2, jnp.zeros(3), s)[1])
+    walk = jax.jit(lambda s: jax.lax.scan(lambda p, d: (se2.compose(p, d),) * 2, jnp.zeros(3), s)[1])
     truth = jnp.concatenate([jnp.zeros((1, 3)), walk(jnp.asarray(step))])
     odometry = jnp.concatenate([jnp.zeros((1, 3)), walk(jnp.asarray(step + rng.normal(size=step.shape) * SIGMAS))])
     i = rng.integers(0, n // 2 - 30, closures)
     j = n - 1 - i - rng.integers(0, 20, closures)
     error = rng.normal(size=(closures, 3)) * CLOSURE
     error[closures - bad :] += rng.choice([-1, 1], (bad, 3)) * rng.uniform(0.3, 1.5, (bad, 3))
-    measured = se2_compose(se2_compose(se2_inverse(truth[i]), truth[j]), se2_exp(jnp.asarray(error)))
+    measured = se2.compose(se2.compose(se2.inverse(truth[i]), truth[j]), se2.exp(jnp.asarray(error)))
     covariance = np.broadcast_to(np.diag(CLOSURE**2), (closures, 3, 3))
     return odometry, i, j, measured, covariance
 
@@ -33,16 +33,16 @@ def test_cycles_of_good_closures_are_chi_square_distributed():
     step = np.zeros((n - 1, 3))
     step[:, 0], step[n // 2 - 1, 2] = 0.05, np.pi
     start = jnp.zeros((1, 3))
-    walk = jax.jit(lambda s: jax.lax.scan(lambda p, d: (se2_compose(p, d),) * 2, start[0], s)[1])
+    walk = jax.jit(lambda s: jax.lax.scan(lambda p, d: (se2.compose(p, d),) * 2, start[0], s)[1])
     truth = jnp.concatenate([start, walk(jnp.asarray(step))])
     i, j = jnp.array([10, 250, 100]), jnp.array([580, 340, 480])
-    measured = se2_compose(se2_inverse(truth[i]), truth[j])
+    measured = se2.compose(se2.inverse(truth[i]), truth[j])
     steps = jnp.broadcast_to(jnp.diag(jnp.asarray(SIGMAS**2)), (n - 1, 3, 3))
     covariance = jnp.broadcast_to(jnp.diag(jnp.asarray(CLOSURE**2)), (3, 3, 3))
 
     def once(step_error, error):
         odometry = jnp.concatenate([start, walk(step + step_error)])
-        return all_cycles(make_loops(odometry, steps, i, j, se2_compose(measured, se2_exp(error)), covariance))
+        return all_cycles(make_loops(odometry, steps, i, j, se2.compose(measured, se2.exp(error)), covariance))
 
     errors = rng.normal(size=(runs, n - 1, 3)) * SIGMAS, rng.normal(size=(runs, 3, 3)) * CLOSURE
     distances = np.asarray(jax.jit(jax.vmap(once))(*map(jnp.asarray, errors)))
@@ -62,7 +62,7 @@ def test_keeps_the_good_and_drops_the_bad():
 
 def test_closures_that_agree_on_the_same_error_win_only_by_number():
     odometry, i, j, measured, covariance = corridor(closures=12)
-    shifted = measured.at[:5].set(se2_compose(measured[:5], jnp.broadcast_to(jnp.array([3.0, 0, 0]), (5, 3))))
+    shifted = measured.at[:5].set(se2.compose(measured[:5], jnp.broadcast_to(jnp.array([3.0, 0, 0]), (5, 3))))
     kept = consistent_set(odometry, SIGMAS, i, j, shifted, covariance, np.ones(12))
     assert kept[5:].sum() >= 6
     assert not kept[:5].any()
