@@ -43,10 +43,10 @@ def test_a_point_is_found_in_its_strip():
 
 def test_wear_and_its_strength_change_the_floor():
     config = FloorConfig(family="concrete", texel_m=0.02)
-    plan = make_plan([np.array([[0.0, 0.0], [3.0, 0.0]])], 1.6, 1.0)
     floors = [
-        floor_of(plan, replace(config, wear_per_m2=n, wear=s), key=jax.random.key(0)).texture.texels.astype(jnp.float32)
+        floor_of(CROSS, replace(config, wear_per_m2=n, wear=s), key=jax.random.key(0)).texture.texels
         for n, s in ((0.0, 1.0), (6.0, 0.3), (6.0, 1.0))
     ]
+    floors = [floor.astype(jnp.float32) for floor in floors]
     bare, faint, strong = (float(jnp.mean(jnp.abs(f - floors[0]))) for f in floors)
     assert bare == 0 and 0 < faint < 0.6 * strong
