@@ -92,28 +92,22 @@ def look(atlas: Atlas, ground: Ground, by_pixel: Float[Array, "*s 2 2"]) -> Floa
     return mipmap.sample_anisotropic(atlas.texture, ground.texel, axes / atlas.texel_m)
 
 
-def from_strips(
-    strips: list[Float[np.ndarray, "H W C"]],
-    plan: Plan,
-    texel_m: float,
-    gutter: int = 0,
-    dtype: DTypeLike = jnp.float32,
+def make_atlas(
+    image: Float[np.ndarray, "H W C"], columns: list[int], plan: Plan, texel_m: float, dtype: DTypeLike = jnp.float32
 ) -> Atlas:
-    """Joins textures of a plan's strips; row 0 is the right side of each, seen along it.
+    """An atlas of one image in which a plan's strips lie side by side.
 
     Args:
-      strips: of one height; `gutter` columns of each lie before its rectangle.
-      plan: whose rectangles they cover.
+      image: row 0 is the right side of each strip, seen along it.
+      columns: at which each rectangle begins.
+      plan: whose rectangles the strips cover.
       texel_m: side of a texel.
-      gutter: columns of floor before each rectangle.
       dtype: of directions and lengths, not of the texels.
     """
-    starts = np.cumsum([0] + [strip.shape[1] for strip in strips[:-1]]) + gutter
-    texture = mipmap.build(np.concatenate(strips, axis=1), LEVELS)
-    origins, directions, lengths, width_m, columns = (
-        jnp.asarray(n, dtype) for n in (plan.origins, plan.directions, plan.lengths, plan.width_m, starts)
+    origins, directions, lengths, width_m, starts = (
+        jnp.asarray(n, dtype) for n in (plan.origins, plan.directions, plan.lengths, plan.width_m, columns)
     )
-    return Atlas(texture, origins, directions, lengths, width_m, columns, texel_m)
+    return Atlas(mipmap.build(image, LEVELS), origins, directions, lengths, width_m, starts, texel_m)
 
 
 @partial(jax.jit, static_argnames=("shape", "floor"))
@@ -192,12 +186,13 @@ def floor_of(
         floor = floor.at[..., :3].set(jnp.clip(floor[..., :3], 0.01, 0.95))
         return np.asarray(floor, np.float16)
 
-    blocks = [block(number) for number in range(len(spans))]
-    strips = [
-        np.concatenate([b for b, span in zip(blocks, spans, strict=True) if span[0] == i], axis=1)
-        for i in range(len(plan.lengths))
-    ]
-    return from_strips(strips, plan, texel, GUTTER)
+    # In place: half a gigabyte is too much to hold several times.
+    first = block(0)
+    image = np.empty((rows, BLOCK * len(spans), first.shape[2]), np.float16)
+    for number in range(len(spans)):
+        image[:, number * BLOCK : (number + 1) * BLOCK] = first if number == 0 else block(number)
+    columns = [BLOCK * number + GUTTER for number, (_, start) in enumerate(spans) if start == 0]
+    return make_atlas(image, columns, plan, texel)
 
 
 def _blocks(length_m: float, texel_m: float) -> int:

@@ -30,15 +30,12 @@ def build(image: Float[Array, "H W C"], levels: int = 8) -> Mipmap:
     height, width, channels = image.shape
     image = jnp.pad(image, ((0, -height % block), (0, -width % block), (0, 0)), mode="edge")
     height, width, _ = image.shape
-    pyramid = [image]
+    pyramid, exact = [image], jnp.promote_types(image.dtype, jnp.float32)
     for _ in range(levels - 1):
-        h, w, _ = pyramid[-1].shape
-        mean = (
-            pyramid[-1]
-            .reshape(h // 2, 2, w // 2, 2, channels)
-            .mean(axis=(1, 3), dtype=jnp.promote_types(image.dtype, jnp.float32))
-        )
-        pyramid.append(mean.astype(image.dtype))
+        # Sums of slices, not a mean over reshaped axes: nothing of the image's size is held in float32.
+        fine = pyramid[-1]
+        parts = [fine[i::2, j::2].astype(exact) / 4 for i in (0, 1) for j in (0, 1)]
+        pyramid.append(sum(parts[1:], parts[0]).astype(image.dtype))
     return Mipmap(jnp.concatenate([p.reshape(-1, channels) for p in pyramid]), height, width, levels)
 
 

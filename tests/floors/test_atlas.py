@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ebjax.floors.atlas import floor_of, from_strips, locate, look
+from ebjax.floors.atlas import floor_of, locate, look, make_atlas
 from ebjax.floors.plan import make_plan
 from ebjax.floors.surface import FloorConfig
 
@@ -31,8 +31,7 @@ def test_corridors_that_cross_share_one_floor():
 
 
 def test_a_point_is_found_in_its_strip():
-    strips = [np.zeros((160, int(np.ceil(n * 100)), 3)) for n in CROSS.lengths]
-    atlas = from_strips(strips, CROSS, 0.01, 0, jnp.float64)
+    atlas = make_atlas(np.zeros((160, 1600, 3)), [0, 800], CROSS, 0.01, jnp.float64)
     x, y = jnp.array([[1.0, 3.0, 3.5]]), jnp.array([[0.1, -2.0, 9.0]])
     ground = locate(atlas, x, y)
     np.testing.assert_allclose(ground.texel[0, 0], [2.0 / 0.01 - 0.5, 0.9 / 0.01 - 0.5])
@@ -44,10 +43,10 @@ def test_a_point_is_found_in_its_strip():
 
 def test_wear_and_its_strength_change_the_floor():
     config = FloorConfig(family="concrete", texel_m=0.02)
-    plan = make_plan([np.array([[0.0, 0.0], [3.0, 0.0]])], 1.6, 1.0)
     floors = [
-        floor_of(plan, replace(config, wear_per_m2=n, wear=s), key=jax.random.key(0)).texture.texels.astype(jnp.float32)
+        floor_of(CROSS, replace(config, wear_per_m2=n, wear=s), key=jax.random.key(0)).texture.texels
         for n, s in ((0.0, 1.0), (6.0, 0.3), (6.0, 1.0))
     ]
+    floors = [floor.astype(jnp.float32) for floor in floors]
     bare, faint, strong = (float(jnp.mean(jnp.abs(f - floors[0]))) for f in floors)
     assert bare == 0 and 0 < faint < 0.6 * strong

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from ebjax.floors.atlas import from_strips
+from ebjax.floors.atlas import make_atlas
 from ebjax.floors.obstacles import Boxes, no_boxes, no_posts
 from ebjax.floors.plan import make_plan
 from ebjax.floors.render import Light, Passers
@@ -38,7 +38,7 @@ def camera(height_m=0.54, pitch=0.33, scale=8):
 
 
 def corridor_of(texture):
-    return make_scene(PLAN, from_strips([np.asarray(texture)], PLAN, TEXEL, 0, jnp.float64), 2.4, no_boxes(jnp.float64))
+    return make_scene(PLAN, make_atlas(np.asarray(texture), [0], PLAN, TEXEL, jnp.float64), 2.4, no_boxes(jnp.float64))
 
 
 @pytest.fixture(scope="module")

@@ -91,7 +91,6 @@ def test_everything_at_once_is_a_function_of_the_seed():
         SMALL,
         sun=1.0,
         landmarks_per_m=0.5,
-        floor=FloorConfig(family="wood", texel_m=0.02),
         plan=PlanConfig(corridors=("0 0, 3 0, 3 3", "3 1.5, 6 1.5")),
         robot=replace(SMALL.robot, route="0 0, 3 0, 3 3", stops=1),
         passers=PassersConfig(share=0.9),
