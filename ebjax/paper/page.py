@@ -27,7 +27,7 @@ def markdown_table(head: Sequence[str], rows: Mapping[str, Sequence[str]]) -> It
     yield ""
 
 
-def percent(value: float | None) -> str:
+def percent(value: float | int | None) -> str:
     """A share as per cent."""
     return DASH if value is None else f"{100 * value:.1f}"
 
@@ -100,7 +100,7 @@ def drift_table(table: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Iterato
         yield ""
 
 
-def number(value: float | None) -> str:
+def number(value: float | int | None) -> str:
     """Four digits, or a dash."""
     return DASH if value is None else f"{value:.4g}"
 

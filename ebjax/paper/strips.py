@@ -1,4 +1,7 @@
-"""Synthetic floors as photographs from above under even light, to be cropped as real ones are."""
+"""Synthetic floors as photographs from above under even light, to be cropped as real ones are.
+
+Even light shows no relief: of a carpet only the yarns' colours are seen.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -30,5 +33,5 @@ def strip(floor: FloorConfig, seed: int) -> UInt8[np.ndarray, "_ _ 3"]:
     u, v = jnp.meshgrid(jnp.arange(width, dtype=jnp.float32), jnp.arange(height, dtype=jnp.float32))
     ground = locate(laid, (u + 0.5) * scale, (height / 2 - 0.5 - v) * scale)
     by_pixel = jnp.broadcast_to(jnp.array([[scale, 0.0], [0.0, -scale]], jnp.float32), (height, width, 2, 2))
-    linear = np.asarray(look(laid, ground, by_pixel))
+    linear = np.asarray(look(laid, ground, by_pixel))[..., :3]
     return np.round(255 * np.clip(linear, 0, 1) ** (1 / GAMMA)).astype(np.uint8)

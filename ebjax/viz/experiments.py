@@ -56,7 +56,7 @@ def precision_over_recall(
 
 
 def over_setting(
-    panels: Mapping[str, Mapping[str, Mapping[str, float | None]]], setting: str, *, log: Sequence[str] = ()
+    panels: Mapping[str, Mapping[str, Mapping[str, float | int | None]]], setting: str, *, log: Sequence[str] = ()
 ) -> bytes:
     """Draws measures over a setting: panel (what is measured) -> series -> value of the setting -> number.
 
