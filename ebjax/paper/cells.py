@@ -59,7 +59,8 @@ class Cells:
         return found["values"] if found["settings"] == json.loads(_text(settings)) else None
 
     def _write(self, path: Path, settings: Values, values: Any) -> Any:
-        settings, values = json.loads(_text(settings)), json.loads(_text(values))
+        # Through JSON, so that a cell is the same when it is measured and when it is found; the order is kept.
+        settings, values = (json.loads(json.dumps(part, allow_nan=False)) for part in (settings, values))
         check = _digest(_text([settings, values]).encode())
         with whole_file(path) as file:
             json.dump({"settings": settings, "values": values, "check": check}, file, allow_nan=False)

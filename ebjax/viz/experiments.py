@@ -7,7 +7,7 @@ from jaxtyping import Float, UInt8
 
 from ebjax.viz.figures import AFTER, BEFORE, LOOP, TRUTH, _figure, _png
 
-COLOURS = (BEFORE, LOOP, "#5b5ea6", AFTER, "#7a4988", TRUTH, "#2f6f3e", "#b00020", "#3b3b3b")
+COLOURS = (BEFORE, LOOP, "#5b5ea6", AFTER, "#7a4988", TRUTH, "#2f6f3e", "#b00020", "#3b3b3b", "#2b9eb3")
 
 
 def image_grid(rows: Mapping[str, Sequence[UInt8[np.ndarray, "_ _ 3"]]], columns: Sequence[str]) -> bytes:
@@ -72,9 +72,10 @@ def over_setting(
         numbers = [_number(value) for value in values]
         at = {v: float(k) if None in numbers else n for k, (v, n) in enumerate(zip(values, numbers, strict=True))}
         for name, points in series.items():
-            known = [(at[value], number) for value, number in points.items() if number is not None]
+            known = sorted((at[value], number) for value, number in points.items() if number is not None)
             colour = COLOURS[labels.index(name) % len(COLOURS)]
-            axes.plot(*np.array(known, float).reshape(-1, 2).T, "o-", color=colour, lw=1.4, ms=4, label=name)
+            style = "o" if None in numbers else "o-"
+            axes.plot(*np.array(known, float).reshape(-1, 2).T, style, color=colour, lw=1.4, ms=5, label=name)
         if None in numbers:
             axes.set_xticks(range(len(values)), values, rotation=30, ha="right", fontsize=9)
         axes.set(xlabel=setting, ylabel=measure)

@@ -24,6 +24,12 @@ def test_a_cell_is_measured_once(tmp_path):
     assert len(calls) == 1 and (cells.measured, cells.reused) == (0, 1)
 
 
+def test_the_order_of_a_cell_is_kept(tmp_path):
+    points = {"2": 1, "10": 2, "1": 3}
+    for _ in range(2):
+        assert list(Cells(tmp_path).values("cell", {}, lambda: points)) == ["2", "10", "1"]
+
+
 def test_other_settings_are_measured_again(tmp_path):
     measure, calls = counted({"a": 1})
     Cells(tmp_path).values("cell", {"seed": 0}, measure)
