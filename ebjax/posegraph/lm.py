@@ -8,14 +8,15 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from ebjax.posegraph.adjoint import optimum
 from ebjax.posegraph.consensus import RULES, believed
+from ebjax.posegraph.factors import squared_residuals
 from ebjax.posegraph.graph import PoseGraph, check
 from ebjax.posegraph.levenberg import Solution
 from ebjax.posegraph.linear import Structure, analyse
-from ebjax.posegraph.robust import check_kernel, default_width
+from ebjax.posegraph.robust import check_kernel, default_width, weight
 
 
 def solve(
@@ -58,6 +59,15 @@ def solve(
         positive definite (both only where the arrays are concrete).
     """
     return _call(graph, kernel, width, max_steps, rtol, solver, structure, report, _solve)
+
+
+def cut_off(
+    graph: PoseGraph, poses: Float[Array, "N P"], *, kernel: str = "cauchy", width: float | None = None
+) -> Bool[np.ndarray, " E"]:
+    """Robust edges that count for nothing at `poses`, which kernels that truncate have; the options as in `solve`."""
+    s = squared_residuals(graph, poses)
+    at = jnp.asarray(default_width(kernel, graph.lie.dim) if width is None else width, s.dtype)
+    return np.asarray(graph.robust) & (np.asarray(weight(kernel, s, at)) == 0)
 
 
 def compile_solve(graph: PoseGraph, **options: Any) -> Callable[[], Solution]:

@@ -27,7 +27,7 @@ from ebjax.places.retrieve import LoopCandidates, comparable
 from ebjax.places.search import check_ranking, search
 from ebjax.posegraph.graph import PoseGraph, make_graph
 from ebjax.posegraph.levenberg import Solution
-from ebjax.posegraph.lm import solve
+from ebjax.posegraph.lm import cut_off, solve
 from ebjax.slam.describe import Described, Landmarks
 from ebjax.slam.keyframes import Load, Progress, describe_keyframes, moved_enough
 from ebjax.slam.select import KEPT, Measured, Odometry, SelectConfig, plausible, select
@@ -35,6 +35,7 @@ from ebjax.slam.view import RunView
 
 Remember = Callable[[str, Path | None], Callable[[Callable], Callable]]
 MIN_DEPTH_INLIERS = 8
+CONTRADICTED = "contradicts the corrected path"
 PAIRS_A_CALL = 64
 
 
@@ -197,7 +198,11 @@ def run(
     start = time.perf_counter()
     graph = build_graph(odom_from_base, candidates, kept, config.odometry)
     solution = solve(graph, kernel=config.kernel, width=config.kernel_width, max_steps=100)
-    jax.block_until_ready(solution.poses)
+    cut = cut_off(graph, solution.poses, kernel=config.kernel, width=config.kernel_width)
+    if cut.any():
+        for k in np.flatnonzero(kept)[cut[len(odom_from_base) - 1 :]]:
+            reasons[k], kept[k] = CONTRADICTED, False
+        graph = build_graph(odom_from_base, candidates, kept, config.odometry)
     stage("pose graph", start)
     return Result(keyframes, described, ranked, verified, candidates, by_depth, reasons, graph, solution, seconds)
 

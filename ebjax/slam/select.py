@@ -31,7 +31,7 @@ class SelectConfig:
     odometry_sigmas: float = 4.0
     """How far a closure may contradict the odometry between its ends, in that odometry's standard deviations."""
     min_agreeing: int = 2
-    """So many closures must agree with each other, or none is kept: one alone may be an alias."""
+    """Closures of so many different views must agree with each other, or none is kept: one view may be an alias."""
     spacing_m: float = 0.4
     """One closure at most for so much path, the one with most agreeing matches."""
     top: int = 0
@@ -129,7 +129,7 @@ def select(
     )
     reject(np.isin(np.arange(count), alive[~agreed]), "contradicts the other closures")
     alive = alive[agreed]
-    if len(alive) < config.min_agreeing:
+    if min(len(np.unique(candidates.i[alive])), len(np.unique(candidates.j[alive]))) < config.min_agreeing:
         reject(np.isin(np.arange(count), alive), "no other closure supports it")
         alive = alive[:0]
     if config.top and len(alive) > config.top:

@@ -11,6 +11,7 @@ from ebjax.posegraph.bench import corridor
 from ebjax.posegraph.consensus import believed
 from ebjax.posegraph.falseloops import add_false_loops, error_m, loops_of
 from ebjax.posegraph.init import odometry
+from ebjax.posegraph.lm import cut_off
 from ebjax.posegraph.robust import chi_square_999
 
 
@@ -75,6 +76,15 @@ def test_loops_far_apart_count_although_none_confirms_another(run, only):
     best = solve(true, kernel="none").poses
     assert error_m(sparse.poses, best, "se2") > 0.01
     assert error_m(solve(sparse, kernel="consensus").poses, best, "se2") < 1e-5
+
+
+def test_what_the_solution_leaves_out_can_be_asked_for(run):
+    graph = spoil(run, 0.5)
+    false = np.arange(len(graph.i)) >= 629
+    found = solve(graph, kernel="consensus")
+    np.testing.assert_array_equal(cut_off(graph, found.poses, kernel="consensus"), false)
+    assert not cut_off(graph, found.poses, kernel="cauchy").any()
+    assert cut_off(graph, found.poses, kernel="tls", width=1e-6)[599:].all()
 
 
 def test_chi_square_point():

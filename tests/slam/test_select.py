@@ -82,6 +82,11 @@ def test_one_alone_is_not_believed():
     assert select(true_candidates([(25, 11)]), PATH, Odometry(), SelectConfig(min_agreeing=1)) == [KEPT]
 
 
+def test_closures_with_one_and_the_same_view_do_not_support_each_other():
+    same = true_candidates([(25, 8), (27, 8), (29, 8)])
+    assert set(select(same, PATH, Odometry(), SelectConfig())) == {"no other closure supports it"}
+
+
 def test_top_spreads(good):
     reasons = select(good, PATH, Odometry(), SelectConfig(top=2))
     assert reasons.count(KEPT) == 2
