@@ -58,6 +58,8 @@ class BenchConfig:
     """g2o files to add false loops to, 20 % and 50 % of all, and see what every robust setting makes of them."""
     seeds: int = 5
     """Draws of the false loops; the median is printed."""
+    kernels: tuple[str, ...] = ("none", "cauchy", "dcs", "geman-mcclure", "gnc-tls", "consensus")
+    """Columns of the false loops; many random loops make some of them slow on large graphs."""
     batch: int = 64
     """Graphs of 500 poses solved together; 0 leaves them out."""
     turns: int = 5
@@ -73,11 +75,14 @@ def bench(config: BenchConfig) -> None:
     from ebjax.io.atomic import whole_file
     from ebjax.posegraph import bench as tables
     from ebjax.posegraph.falseloops import false_loops
+    from ebjax.posegraph.robust import check_kernel
 
     jax.config.update("jax_enable_compilation_cache", False)  # seconds of compilation are part of the tables
 
     if config.turns < 1 or config.seeds < 1 or config.batch < 0 or min(config.sizes, default=1000) < 100:
         raise ValueError("--turns and --seeds must be positive, --batch not negative, --sizes at least 100")
+    for kernel in config.kernels:
+        check_kernel(kernel)
     paths, turns = list(config.graphs), config.turns
     sections = {
         "Graphs": tables.graphs(paths, config.solver, turns),
@@ -85,7 +90,7 @@ def bench(config: BenchConfig) -> None:
         "Growth: a corridor with 20 loops, Cauchy": tables.growth(config.sizes, config.solver, turns),
         "A batch under vmap, Cauchy": tables.batch(config.batch, 500, config.solver, turns) if config.batch else (),
         "False loops: ATE in m from the clean solution, odometry start": false_loops(
-            list(config.false_loops), seeds=config.seeds
+            list(config.false_loops), seeds=config.seeds, kernels=config.kernels
         ),
     }
     text = ""

@@ -20,8 +20,6 @@ from ebjax.posegraph.g2o import read_g2o
 from ebjax.posegraph.graph import PoseGraph
 from ebjax.posegraph.lm import solve
 
-KERNELS = ("none", "cauchy", "dcs", "geman-mcclure", "gnc-tls", "consensus")
-
 
 def loops_of(graph: PoseGraph) -> Bool[np.ndarray, " E"]:
     """Edges that do not join successive rows."""
@@ -90,7 +88,7 @@ def false_loops(
     shares: tuple[float, ...] = (0.0, 0.2, 0.5),
     seeds: int = 5,
     group: int = 1,
-    kernels: tuple[str, ...] = KERNELS,
+    kernels: tuple[str, ...],
 ) -> Iterator[dict[str, Any]]:
     """Two rows per graph and share, the median error of every kernel against either clean solution, from odometry."""
     for path in paths:
