@@ -20,6 +20,8 @@ MAY_IMPORT = {
     "viz": {"geometry", "io", "evaluation", "posegraph", "slam"},
     # The paper's experiments: every room put to work, as only commands do otherwise. No room imports it.
     "paper": {*NUMERICAL, "evaluation", "io", "viz", "config", "command"},
+    # Training puts every room to work too; only its own command imports it.
+    "train": {*NUMERICAL, "evaluation", "io", "config", "command"},
     "config.py": {"io"},
     "command.py": {"config", "io"},
 }

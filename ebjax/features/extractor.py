@@ -14,6 +14,7 @@ from ebjax.features.matching import Features
 from ebjax.models.fast import Arithmetic
 
 EXTRACTORS = {
+    "floornet": "ebjax.features.floornet:floornet",
     "rootsift": "ebjax.features.upright:ROOTSIFT",
     "sift": "ebjax.features.opencv:SIFT",
     "orb": "ebjax.features.opencv:ORB",

@@ -28,7 +28,7 @@ def reflectance(points: Float[Array, "*s 2"], floor: Material, *, key: Key[Array
     fine = fractal_noise(28.0 * p, key=fine_key, octaves=4)
     ridge = jnp.exp(-jnp.abs(fractal_noise(1.6 * bent, key=ridge_key, octaves=4)) / 0.02)
     rust = jnp.clip(1.8 * gradient_noise(1.1 * p, key=rust_key) - 0.25, 0, 1)
-    tone = (0.72 + 0.56 * slab.random[..., 0]) if floor.dirt > 0 else jnp.ones_like(broad)
+    tone = jnp.where(jnp.asarray(floor.dirt) > 0, 0.72 + 0.56 * slab.random[..., 0], 1)
     value = jnp.clip(tone * (1 + 0.42 * broad + 0.22 * fine + 0.16 * ridge), 0.3, 2.2)
     colour = mix(spread((0.235, 0.23, 0.215), value), spread((0.27, 0.19, 0.12), value), 0.6 * rust)
     worn = 0.25 * jnp.exp(-slab.edge_m / 0.008)

@@ -65,8 +65,8 @@ class Material(NamedTuple):
     size_m: float | int
     joint_m: float | int
     designs: int
-    disorder: float | int
-    dirt: float | int
+    disorder: float | int | Float[Array, ""]
+    dirt: float | int | Float[Array, ""]
     texel_m: float | int
 
 

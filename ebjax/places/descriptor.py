@@ -18,6 +18,7 @@ from ebjax.models.fast import Arithmetic
 from ebjax.places.descriptor_map import MapSpace
 
 DESCRIPTORS = {
+    "floornet": "ebjax.places.floornet:floornet",
     "rootsift-vlad": "ebjax.places.rootsift_vlad:ROOTSIFT_VLAD",
     "hog": "ebjax.places.hog:HOG",
     "joint": "ebjax.places.joint:JOINT",

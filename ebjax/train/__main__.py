@@ -1,0 +1,88 @@
+"""Learns on synthetic floors, end to end if wanted, or from a run of one's own: the config says which task.
+
+python -m ebjax.train --config configs/train/floornet.yaml --out runs/floornet [--resume]
+"""
+
+import dataclasses
+import importlib
+import itertools
+import sys
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+import yaml
+
+from ebjax.command import run
+from ebjax.io.text import read_text
+
+TASKS = {
+    "floornet": "ebjax.train.floornet",
+}
+"""Each is a module with a dataclass `Config` and `run(config, out, resume=)`. A new one is a file and a line here."""
+
+
+def task_of(argv: list[str]) -> str:
+    """The task that --task or the file of --config names; floornet where neither does.
+
+    Raises:
+      ValueError: there is no such task.
+      OSError: the file cannot be read.
+    """
+    named, source = None, "--task"
+    for flag, value in itertools.pairwise(argv):
+        if flag == "--task":
+            return _known(value, source)
+        if flag == "--config":
+            try:
+                values = yaml.safe_load(read_text(value))
+            except yaml.YAMLError:
+                continue  # told with its line when the whole file is read
+            named, source = (values.get("task") if isinstance(values, dict) else None), f"{value}: task"
+    return "floornet" if named is None else _known(named, source)
+
+
+def _known(name: Any, source: str) -> str:
+    if name not in TASKS:
+        raise ValueError(f"{source} {name!r} is unknown; choose one of {', '.join(TASKS)}")
+    return name
+
+
+def command(name: str) -> type[Any]:
+    """The options of a task and of every training."""
+    module = importlib.import_module(TASKS[name])
+    out = Annotated[Path, tyro.conf.arg(help="Folder for weights, log and checkpoints.")]
+    resume = Annotated[bool, tyro.conf.arg(help="Go on from the latest checkpoint in --out.")]
+    made = dataclasses.make_dataclass(
+        "Config",
+        [
+            ("task", Literal[name], dataclasses.field(default=name)),  # type: ignore[valid-type]
+            ("out", out, dataclasses.field(default=Path("runs/train"))),
+            ("resume", resume, dataclasses.field(default=False)),
+        ],
+        bases=(module.Config,),
+        frozen=True,
+        kw_only=True,
+    )
+    made.__doc__ = module.Config.__doc__
+    return made
+
+
+def main(config: Any) -> None:
+    """Trains."""
+    module = importlib.import_module(TASKS[config.task])
+    own = {field.name: getattr(config, field.name) for field in dataclasses.fields(module.Config)}
+    module.run(module.Config(**own), config.out, resume=config.resume)
+
+
+def _main() -> None:
+    try:
+        options = command(task_of(sys.argv[1:]))
+    except (ValueError, OSError) as fault:
+        print(f"error: {fault}", file=sys.stderr)
+        sys.exit(2)
+    run(main, options)
+
+
+if __name__ == "__main__":
+    _main()

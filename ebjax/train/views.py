@@ -1,0 +1,172 @@
+"""Two looks at the same floor from opposite sides, as a robot would get them: what floornet learns from.
+
+Both are kept in the orientation of the first (the network is equivariant, R_pi adds nothing): the second is the floor
+as seen by a robot that faces the other way, in its own light, with its far side where the first one has its near side.
+"""
+
+import dataclasses
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Key
+
+from ebjax.geometry.warp import sample_bilinear
+
+PITCH_PX = 166
+"""Distance of places on a canvas: nine, which hardly overlap."""
+ZOOM = (0.8, 1.15)
+OWN_TURN_DEG, OWN_TILT = 3.0, 0.03
+TURN_DEG, SCALE, SHIFT, TILT = 8.0, 0.14, 0.18, 0.06
+"""Of the second view against the first: degrees, shares of scale and side, change of scale across the view."""
+ELEVATION = (0.3, 0.9)
+"""Horizontal part of the direction from which a pile is seen."""
+GAMMA, GAIN = (0.5, 1.8), (0.6, 1.5)
+SHADOW, SHADOW_EDGE_PX = (0.25, 0.9), (0.5, 20.0)
+GLARE, GLARE_SIDE = (0.1, 1.2), (0.04, 0.25)
+BLUR_PX, FAR_BLUR_PX = (0.2, 2.2), (0.3, 3.0)
+NOISE = (0.002, 0.03)
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Pairs:
+    """N places: two views of each, the field of view of each side, and where pixels of the first lie in the second."""
+
+    first: Float[Array, "N S S"]
+    second: Float[Array, "N S S"]
+    seen_first: Float[Array, "S S"]
+    seen_second: Float[Array, "S S"]
+    second_from_first: Float[Array, "N 3 3"]
+
+
+def _uniform(key: Key[Array, ""], bounds: tuple[float, float], shape: tuple[int, ...] = ()) -> Float[Array, "*s"]:
+    return jax.random.uniform(key, shape, jnp.float32, *bounds)
+
+
+def _around(key: Key[Array, ""], most: float, shape: tuple[int, ...] = ()) -> Float[Array, "*s"]:
+    return _uniform(key, (-most, most), shape)
+
+
+def _homography(
+    centre: Float[Array, "2"],
+    zoom: Float[Array, ""],
+    turn_deg: Float[Array, ""],
+    tilt: Float[Array, "2"],
+    side: int,
+) -> Float[Array, "3 3"]:
+    """Canvas pixels from view pixels: about the view's centre, which lies at `centre`."""
+    angle, middle = jnp.radians(turn_deg), (side - 1) / 2
+    c, s = jnp.cos(angle) * zoom, jnp.sin(angle) * zoom
+    one, zero = jnp.float32(1), jnp.float32(0)
+    moved = jnp.array([[c, -s, centre[0]], [s, c, centre[1]], [zero, zero, one]])
+    tilted = jnp.array([[one, zero, zero], [zero, one, zero], [tilt[0] / side, tilt[1] / side, one]])
+    return moved @ tilted @ jnp.array([[1, 0, -middle], [0, 1, -middle], [0, 0, 1]], jnp.float32)
+
+
+def _trapezoid(side: int, *, key: Key[Array, ""]) -> Float[Array, "S S"]:
+    """What a camera sees of the square before it: at the near edge (the last row) less than at the far one."""
+    near_key, reach_key = jax.random.split(key)
+    near, reach = _uniform(near_key, (0.15, 0.5)), _uniform(reach_key, (0.05, 0.8))
+    ticks = (jnp.arange(side, dtype=jnp.float32) + 0.5) / side
+    half = near + (0.51 - near) * jnp.minimum((1 - ticks) / reach, 1)
+    return (jnp.abs(ticks - 0.5)[None, :] <= half[:, None]).astype(jnp.float32)
+
+
+def _blur_matrix(side: int, sigma: Float[Array, ""]) -> Float[Array, "S S"]:
+    offset = jnp.arange(side, dtype=jnp.float32)
+    kernel = jnp.exp(-0.5 * ((offset[:, None] - offset[None, :]) / sigma) ** 2)
+    return kernel / kernel.sum(1, keepdims=True)
+
+
+def _photograph(
+    linear: Float[Array, "S S"], nearness: Float[Array, " S"], *, key: Key[Array, ""]
+) -> Float[Array, "S S"]:
+    """Light, lens and sensor: shadow, glare, blur that grows with distance, exposure, gamma, noise, eight bits.
+
+    Args:
+      linear: reflectance.
+      nearness: of each row, 1 at the robot's feet, 0 at the far end.
+      key: of everything random.
+    """
+    side = len(nearness)
+    keys = iter(jax.random.split(key, 20))
+    ticks = (jnp.arange(side, dtype=jnp.float32) + 0.5) / side - 0.5
+    y, x = ticks[:, None], ticks[None, :]
+
+    def across() -> Float[Array, "S S"]:
+        way = _uniform(next(keys), (0.0, 2 * np.pi))
+        return jnp.cos(way) * x + jnp.sin(way) * y
+
+    edge_px = jnp.exp(_uniform(next(keys), tuple(np.log(SHADOW_EDGE_PX))))
+    covered = jax.nn.sigmoid((across() - _around(next(keys), 0.5)) * side / edge_px)
+    depth = jnp.where(_uniform(next(keys), (0.0, 1.0)) < 0.6, 1 - _uniform(next(keys), SHADOW), 0)
+    light = (1 - depth * covered) * jnp.exp(across() * _around(next(keys), 0.8))
+    spot, size = _around(next(keys), 0.5, (2,)), _uniform(next(keys), GLARE_SIDE, (2,))
+    glare = jnp.exp(-(((x - spot[0]) / size[0]) ** 2) / 2 - ((y - spot[1]) / (2 * size[1])) ** 2 / 2)
+    shine = jnp.where(_uniform(next(keys), (0.0, 1.0)) < 0.5, _uniform(next(keys), GLARE), 0)
+    value = linear * light * _uniform(next(keys), GAIN) / jnp.maximum(jnp.mean(linear), 0.02) * 0.35
+    value = value + shine * glare
+
+    def blurred(values, sigma):
+        return _blur_matrix(side, sigma[0]) @ values @ _blur_matrix(side, sigma[1]).T
+
+    near = blurred(value, _uniform(next(keys), BLUR_PX, (2,)))
+    far = blurred(value, _uniform(next(keys), FAR_BLUR_PX, (2,)))
+    value = far + (near - far) * nearness[:, None]
+    value = jnp.clip(value, 0, 1) ** (_uniform(next(keys), GAMMA) / 2)
+    noise = jnp.exp(_uniform(next(keys), tuple(np.log(NOISE))))
+    value = value + noise * jax.random.normal(next(keys), value.shape, value.dtype)
+    return jnp.round(255 * jnp.clip(value, 0, 1)) / 255
+
+
+def _pair(canvas, centre, zoom, side, *, key):
+    keys = iter(jax.random.split(key, 12))
+    first = _homography(centre, zoom, _around(next(keys), OWN_TURN_DEG), _around(next(keys), OWN_TILT, (2,)), side)
+    moved = centre + zoom * side * _around(next(keys), SHIFT, (2,))
+    scale = zoom * (1 + _around(next(keys), SCALE))
+    second = _homography(moved, scale, _around(next(keys), TURN_DEG), _around(next(keys), TILT, (2,)), side)
+    ticks = jnp.arange(side, dtype=jnp.float32)
+    pixels = jnp.stack([*jnp.meshgrid(ticks, ticks), jnp.ones((side, side), jnp.float32)], -1).reshape(-1, 3)
+    nearness = (ticks + 0.5) / side
+
+    def seen(homography, sign):
+        at = pixels @ homography.T
+        at = jnp.clip(at[:, :2] / at[:, 2:], 0, canvas.shape[0] - 1.0)
+        found = sample_bilinear(canvas, at).reshape(side, side, 3)
+        elevation = _uniform(next(keys), ELEVATION)
+        linear = jnp.maximum(found[..., 0] - sign * elevation * found[..., 2], 0.005)
+        return _photograph(linear, nearness if sign > 0 else nearness[::-1], key=next(keys))
+
+    return seen(first, 1), seen(second, -1), jnp.linalg.inv(second) @ first
+
+
+@partial(jax.jit, static_argnames=("places", "side"))
+def sample_pairs(canvases: Float[Array, "C h w 3"], places: int, side: int, *, key: Key[Array, ""]) -> Pairs:
+    """Views of `side` px of random places on each canvas, canvas by canvas.
+
+    Args:
+      canvases: from `make_canvas`; a view's pixel is about one of theirs.
+      places: of each canvas, at most 9.
+      side: of the views.
+      key: of everything random.
+    """
+    field_key, key = jax.random.split(key)
+    field = _trapezoid(side, key=field_key)
+    middle = (canvases.shape[1] - 1) / 2
+    grid = jnp.stack(jnp.meshgrid(*(jnp.arange(-1, 2, dtype=jnp.float32),) * 2), -1).reshape(-1, 2) * PITCH_PX + middle
+
+    def of_canvas(args):
+        canvas, key = args
+        order_key, zoom_key, pair_key = jax.random.split(key, 3)
+        centres = jax.random.permutation(order_key, grid)[:places]
+        zoom = _uniform(zoom_key, ZOOM)
+        keys = jax.random.split(pair_key, places)
+        return jax.lax.map(
+            lambda one: _pair(canvas.astype(jnp.float32), one[0], zoom, side, key=one[1]), (centres, keys)
+        )
+
+    made = jax.lax.map(of_canvas, (canvases, jax.random.split(key, len(canvases))))
+    first, second, warp = (leaf.reshape(-1, *leaf.shape[2:]) for leaf in made)
+    return Pairs(first, second, field, field[::-1, ::-1], warp)
