@@ -213,6 +213,28 @@ class CropsConfig:
     """Of viewpoints, light, synthetic floors and vocabularies."""
 
 
+@dataclass(frozen=True)
+class StressConfig:
+    """Measures descriptors by retrieval on the floor views of runs there and back, clean and corrupted.
+
+    Every view is corrupted by itself: rotation, scale, blur, gamma, a hard shadow, a saturated spot, noise. Writes
+    stress.md, stress.json and stress.png.
+    """
+
+    runs: tyro.conf.Positional[tuple[Path, ...]]
+    """Folders of runs there and back, with ground truth for every frame."""
+    out: Path = Path("runs/stress")
+    """Folder for the results."""
+    descriptors: tuple[str, ...] = ("rootsift-vlad",)
+    """Global descriptors that look at floor views."""
+    strength: float = 1.0
+    """Of all corruptions; 0 corrupts nothing."""
+    seeds: int = 3
+    """How often every view is corrupted anew."""
+    weights: Path | None = None
+    """Folder of the networks' weights; None: $EBJAX_WEIGHTS or ~/.cache/ebjax/weights."""
+
+
 def ablations(config: AblationsConfig) -> None:
     """Measures, draws, writes, prints the tables."""
     from ebjax.paper.ablation_table import make
@@ -248,10 +270,20 @@ def paper(config: PaperConfig) -> None:
     print(f"wrote {config.out / 'paper.md'}")
 
 
+def stress(config: StressConfig) -> None:
+    """Measures, writes, prints the tables."""
+    from ebjax.paper.stress_table import make
+
+    common = (config.descriptors, config.weights, config.strength, config.seeds)
+    print("\n".join(make(config.runs, config.out, *common)))
+    print(f"wrote {config.out / 'stress.md'}")
+
+
 COMMANDS: dict[str, tuple[Callable[[Any], None], type]] = {
     "paper": (paper, PaperConfig),
     "ablations": (ablations, AblationsConfig),
     "crops": (crops, CropsConfig),
+    "stress": (stress, StressConfig),
 }
 
 

@@ -4,16 +4,16 @@ The database holds every crop; a query is one of them turned by pi, seen from sl
 right answer is that crop alone, though its neighbours share half of it. Descriptors learn from all crops, as of a run.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import cv2
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, UInt8
 
 from ebjax.command import progress
+from ebjax.paper.looks import look_at
 from ebjax.paper.retrieval import FLOOR, TURNED, WAYS
 from ebjax.places.descriptor import Descriptor, Places
 from ebjax.places.descriptor_map import rotate_pi_map
@@ -107,11 +107,9 @@ BASELINES = {"thumbnail": Descriptor(_thumbnail, _thumbnails), "rootsift grid": 
 
 def describe(chosen: Descriptor, images: list[UInt8[np.ndarray, "S S 3"]]) -> dict[str, np.ndarray]:
     """What a descriptor keeps of the images as floor views, stacked."""
-    look: Callable = jax.jit(chosen.look) if chosen.jitted else chosen.look
     seen = jnp.ones((SIDE_PX, SIDE_PX), bool)
     shown = progress(images, len(images), "describing crops")
-    kept = [jax.tree.map(np.asarray, dict(look(jnp.asarray(i, jnp.float32) / 255, seen, i))) for i in shown]
-    return {name: np.stack([one[name] for one in kept]) for name in kept[0]}
+    return look_at(chosen, ((jnp.asarray(i, jnp.float32) / 255, seen, i) for i in shown))
 
 
 def recall(kept: Mapping[str, np.ndarray], chosen: Descriptor, ranking: str, *, seed: int) -> dict[str, float]:

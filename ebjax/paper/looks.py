@@ -3,7 +3,8 @@
 What a descriptor keeps of frames does not depend on how they are ranked later, so it is computed once a kind.
 """
 
-from typing import Literal
+from collections.abc import Iterable, Iterator
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -32,25 +33,24 @@ def _floor(
 _whole = jax.jit(floor_view)
 
 
-def keep(run: Run, chosen: Descriptor, frames: Int[np.ndarray, " N"], kind: Kind) -> dict[str, np.ndarray]:
-    """What the descriptor keeps of some frames, stacked.
+def views(
+    run: Run, frames: Int[np.ndarray, " N"], kind: Kind, side_px: int
+) -> Iterator[tuple[Float[Array, "h w 3"], Bool[Array, "h w"], UInt8[np.ndarray, "H W 3"]]]:
+    """What a descriptor looks at of some frames, one by one: the view, what of it is floor, the whole image.
 
     Args:
       run: the run.
-      chosen: the descriptor.
       frames: numbers.
-      kind: whole images, resized to the descriptor's size; those, mirrored; or floor views, without what depth shows to
-        stand on the floor.
+      kind: whole images, resized; those, mirrored; or floor views, without what depth shows to stand on the floor.
+      side_px: the longer side of a whole image.
 
     Raises:
       BrokenFrame: an image cannot be read.
     """
-    look = jax.jit(chosen.look) if chosen.jitted else chosen.look
     width, height = run.camera.width, run.camera.height
-    scale = chosen.side_px / max(width, height)
+    scale = side_px / max(width, height)
     small = round(height * scale), round(width * scale)
     samples = view_taps(run.view, run.camera) if kind == "floor" else whole_image((width, height), small)
-    kept = []
     for frame in progress(frames.tolist(), len(frames), f"{run.sequence.path.name}, {kind}"):
         image = run.sequence.rgb(frame)
         if kind == "flipped":
@@ -60,5 +60,16 @@ def keep(run: Run, chosen: Descriptor, frames: Int[np.ndarray, " N"], kind: Kind
             view, seen = _floor(jnp.asarray(image), jnp.asarray(depth), samples, run.view, run.camera)
         else:
             view, seen = _whole(jnp.asarray(image), samples), jnp.ones(small, bool)
-        kept.append(jax.tree.map(np.asarray, dict(look(view, seen, image))))
+        yield view, seen, image
+
+
+def keep(run: Run, chosen: Descriptor, frames: Int[np.ndarray, " N"], kind: Kind) -> dict[str, np.ndarray]:
+    """What the descriptor keeps of some frames, stacked; see `views`."""
+    return look_at(chosen, views(run, frames, kind, chosen.side_px))
+
+
+def look_at(chosen: Descriptor, shown: Iterable[tuple[Any, Any, Any]]) -> dict[str, np.ndarray]:
+    """What a descriptor keeps of (view, seen, image), stacked."""
+    look = jax.jit(chosen.look) if chosen.jitted else chosen.look
+    kept = [jax.tree.map(np.asarray, dict(look(*one))) for one in shown]
     return {name: np.stack([one[name] for one in kept]) for name in kept[0]}

@@ -74,13 +74,14 @@ class Retrieval:
         return found
 
 
-def merits(run: Run, first: np.ndarray, score: np.ndarray) -> dict[str, Any]:
+def merits(run: Run, first: np.ndarray, score: np.ndarray, opposing: np.ndarray | None = None) -> dict[str, Any]:
     """What the first candidates are worth.
 
     Args:
       run: the run.
       first: for every frame of the way back, a row of the way out, or -1.
       score: of that candidate.
+      opposing: whether it is claimed as seen from the opposite side, without which it is wrong; None: not asked.
 
     Returns:
       recalls in 0..1 with their queries, radius and what a blind guess would get; P100 and the curve at 1 m.
@@ -93,6 +94,7 @@ def merits(run: Run, first: np.ndarray, score: np.ndarray) -> dict[str, Any]:
         pairs = facing_pairs(run.truth[run.frames], centre, radius)[count:, :count]
         answerable = pairs.any(1)
         right = pairs[np.arange(len(first)), np.maximum(first, 0)] & (first >= 0)
+        right = right if opposing is None else right & opposing
         number = int(answerable.sum())
         result[name] = float(right[answerable].mean()) if number else None
         result[f"{name}_queries"] = number

@@ -46,9 +46,14 @@ class Run:
         return np.concatenate([self.out, self.back])
 
     @property
+    def distances_m(self) -> Float[np.ndarray, " N"]:
+        """Length of the true path up to every frame, m."""
+        return _travelled(self.truth)
+
+    @property
     def travelled_m(self) -> float:
         """Length of the true path, out and back, m."""
-        return float(_travelled(self.truth)[-1])
+        return float(self.distances_m[-1])
 
 
 def _travelled(truth: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, " N"]:

@@ -84,3 +84,11 @@ def drawn():
     patch.setattr(worlds, "render_sequence", counted)
     yield calls
     patch.undo()
+
+
+@pytest.fixture(scope="session")
+def small_run(tmp_path_factory):
+    """The run that `render` draws."""
+    folder = tmp_path_factory.mktemp("run") / "blotches"
+    render(None, folder)
+    return folder
