@@ -26,49 +26,9 @@ from ebjax.posegraph.graph import PoseGraph, make_graph
 from ebjax.posegraph.levenberg import STATUS, Solution
 from ebjax.posegraph.linear import Structure, analyse, linear_solve
 from ebjax.posegraph.lm import compile_solve, solve
+from ebjax.posegraph.oracle import RTOL, STEPS, gtsam_solver
 
 Row = dict[str, Any]
-_RTOL, _STEPS = 1e-9, 200
-
-
-def gtsam_solver(graph: PoseGraph, kernel: str) -> Callable[[], tuple[float, int]]:
-    """Builds the graph in gtsam; the answer optimises it and returns (cost, iterations).
-
-    Raises:
-      ValueError: gtsam is not installed.
-    """
-    try:
-        import gtsam
-    except ModuleNotFoundError:
-        raise ValueError('the benchmark needs gtsam; run: pip install "ebjax[oracle]"') from None
-    planar = graph.group == "se2"
-    order = np.arange(3) if planar else np.array([3, 4, 5, 0, 1, 2])
-    between = gtsam.BetweenFactorPose2 if planar else gtsam.BetweenFactorPose3
-    hold = gtsam.NonlinearEqualityPose2 if planar else gtsam.NonlinearEqualityPose3
-    noise, factors, start = gtsam.noiseModel, gtsam.NonlinearFactorGraph(), gtsam.Values()
-
-    def pose(p):
-        return gtsam.Pose2(*p) if planar else gtsam.Pose3(gtsam.Rot3.Quaternion(*p[:4]), p[4:])
-
-    poses = [pose(p) for p in np.asarray(graph.poses, float)]
-    for k, p in enumerate(poses):
-        start.insert(k, p)
-    edges = zip(*(np.asarray(x) for x in (graph.i, graph.j, graph.measured, graph.information)), strict=True)
-    for i, j, measured, information in edges:
-        model: Any = noise.Gaussian.Information(information[np.ix_(order, order)])
-        if kernel == "cauchy":
-            model = noise.Robust.Create(noise.mEstimator.Cauchy.Create(1.0), model)
-        factors.add(between(int(i), int(j), pose(measured), model))
-    factors.add(hold(0, poses[0]))
-    settings = gtsam.LevenbergMarquardtParams()
-    settings.setMaxIterations(_STEPS)
-    settings.setRelativeErrorTol(_RTOL)
-
-    def run():
-        optimiser = gtsam.LevenbergMarquardtOptimizer(factors, start, settings)
-        return 2 * factors.error(optimiser.optimize()), optimiser.iterations()
-
-    return run
 
 
 def _timed(*runs: Callable[[], Any], turns: int) -> tuple[list[float], list[Any]]:
@@ -85,7 +45,7 @@ def _timed(*runs: Callable[[], Any], turns: int) -> tuple[list[float], list[Any]
 
 def _compiled(graph: PoseGraph, **options: Any) -> tuple[Callable[[], Solution], float]:
     start = time.perf_counter()
-    run = compile_solve(graph, rtol=_RTOL, max_steps=_STEPS, **options)
+    run = compile_solve(graph, rtol=RTOL, max_steps=STEPS, **options)
     return run, time.perf_counter() - start
 
 
@@ -238,7 +198,7 @@ def batch(count: int, poses: int, solver: str, turns: int) -> Iterator[Row]:
     @jax.jit
     @jax.vmap
     def together(measured, poses):
-        return solve(replace(base, measured=measured, poses=poses), structure=structure, rtol=_RTOL)
+        return solve(replace(base, measured=measured, poses=poses), structure=structure, rtol=RTOL)
 
     theirs = [gtsam_solver(graph, "cauchy") for graph in made]
     began = time.perf_counter()
@@ -275,7 +235,7 @@ def gradients(paths: list[Path], solver: str, turns: int) -> Iterator[Row]:
         for kernel, title in (("none", "L2"), ("cauchy", "Cauchy")):
 
             def spread(measured, graph=graph, structure=structure, kernel=kernel):
-                answer = solve(replace(graph, measured=measured), kernel=kernel, structure=structure, rtol=_RTOL)
+                answer = solve(replace(graph, measured=measured), kernel=kernel, structure=structure, rtol=RTOL)
                 return jnp.sum(answer.poses[:, -2:] ** 2)
 
             forward, backward = jax.jit(spread), jax.jit(jax.value_and_grad(spread))

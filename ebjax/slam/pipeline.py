@@ -16,10 +16,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ebjax.features.extractor import Extractor, extractor
-from ebjax.features.measure import LoopMeasurement, measure_depth, measure_floor
+from ebjax.features.extractor import extractor
 from ebjax.features.remember import remembered
-from ebjax.features.verify import Verified, verify
+from ebjax.features.verify import Verified
 from ebjax.geometry.camera import Camera
 from ebjax.models.fast import Arithmetic
 from ebjax.places.descriptor import descriptor
@@ -28,15 +27,15 @@ from ebjax.places.search import check_ranking, search
 from ebjax.posegraph.graph import PoseGraph, make_graph
 from ebjax.posegraph.levenberg import Solution
 from ebjax.posegraph.lm import cut_off, solve
-from ebjax.slam.describe import Described, Landmarks
+from ebjax.slam.describe import Described
 from ebjax.slam.keyframes import Load, Progress, describe_keyframes, moved_enough
 from ebjax.slam.select import KEPT, Measured, Odometry, SelectConfig, plausible, select
+from ebjax.slam.verify import verify_pairs
 from ebjax.slam.view import RunView
 
 Remember = Callable[[str, Path | None], Callable[[Callable], Callable]]
 MIN_DEPTH_INLIERS = 8
 CONTRADICTED = "contradicts the corrected path"
-PAIRS_A_CALL = 64
 
 
 @dataclasses.dataclass(frozen=True)
@@ -176,7 +175,9 @@ def run(
     )
     pick = best_of_each_direction(np.asarray(ranked.valid) & believable, np.asarray(ranked.opposing), config.verify)
     i, j, opposing, distance = (a[pick] for a in (ranked.i, ranked.j, ranked.opposing, ranked.distance))
-    verified, floor, depth, with_depth = verify_pairs(described, chosen, i, j, opposing, config)
+    verified, floor, depth, with_depth = verify_pairs(
+        described, chosen, i, j, opposing, tolerance_m=config.tolerance_m, seed=config.seed
+    )
     by_depth = with_depth >= MIN_DEPTH_INLIERS
     candidates = Measured(
         keyframes[i],
@@ -216,68 +217,6 @@ def best_of_each_direction(
         mine = valid & (opposing == way)
         pick |= mine & (np.cumsum(mine, axis=1) <= count)
     return pick
-
-
-def verify_pairs(
-    described: Described,
-    chosen: Extractor,
-    i: Int[np.ndarray, " K"],
-    j: Int[np.ndarray, " K"],
-    opposing: Bool[np.ndarray, " K"],
-    config: PipelineConfig,
-) -> tuple[Verified, LoopMeasurement, LoopMeasurement, Int[np.ndarray, " K"]]:
-    """Verifies and measures pairs of keyframes: by the metric floor, by depth, and how many inliers have depth."""
-
-    @jax.jit
-    def block(query: Landmarks, reference: Landmarks, keys):
-        def one(args):
-            ours, theirs, key = args
-            found = verify(
-                ours.features,
-                theirs.features,
-                ours.floor_points,
-                theirs.floor_points,
-                key=key,
-                tolerance=config.tolerance_m,
-            )
-            q, r = found.query, found.reference
-            floor = measure_floor(ours.floor_points[q], theirs.floor_points[r], found.inliers)
-            deep = found.inliers & (ours.range_m[q] > 0) & (theirs.range_m[r] > 0)
-            range_m = jnp.maximum(ours.range_m[q], theirs.range_m[r])
-            depth = measure_depth(ours.points[q], theirs.points[r], deep, range_m)
-            return found, floor, depth, deep.sum()
-
-        return jax.lax.map(one, (query, reference, keys))
-
-    keys = jax.random.split(jax.random.key(config.seed), max(len(i), 1))
-    results = []
-    for start in range(0, max(len(i), 1), PAIRS_A_CALL):
-        rows = np.arange(start, start + PAIRS_A_CALL) % max(len(i), 1)  # the last block is filled up: one shape
-        a, b = (i[rows], j[rows]) if len(i) else (np.zeros(PAIRS_A_CALL, int),) * 2
-        facing = opposing[rows] if len(i) else np.zeros(PAIRS_A_CALL, bool)
-        query, reference = take(described.landmarks, a), seen_from(described, chosen, b, facing)
-        results.append(jax.tree.map(np.asarray, block(query, reference, keys[rows])))
-    joined = jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(i)], *results)
-    return joined
-
-
-def take(landmarks: Landmarks, rows: Int[np.ndarray, " K"]) -> Landmarks:
-    """Some keyframes' landmarks."""
-    return jax.tree.map(lambda leaf: leaf[rows], landmarks)
-
-
-def seen_from(
-    described: Described, chosen: Extractor, rows: Int[np.ndarray, " K"], facing: Bool[np.ndarray, " K"]
-) -> Landmarks:
-    """The landmarks of keyframes, as a view in the same direction has them or, where `facing`, the opposite one."""
-    straight = take(described.landmarks, rows)
-    if chosen.turn is None:
-        assert described.turned is not None
-        turned = take(described.turned, rows)
-    else:
-        descriptors = chosen.turn(jnp.asarray(straight.features.descriptors))
-        turned = dataclasses.replace(straight, features=dataclasses.replace(straight.features, descriptors=descriptors))
-    return jax.tree.map(lambda s, t: np.where(facing.reshape(-1, *(1,) * (s.ndim - 1)), t, s), straight, turned)
 
 
 def build_graph(

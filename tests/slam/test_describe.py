@@ -9,7 +9,7 @@ from ebjax.features.upright import ROOTSIFT
 from ebjax.geometry.camera import FloorView, camera_over_floor
 from ebjax.geometry.homography import apply
 from ebjax.slam.describe import describe_host, view_taps
-from ebjax.slam.pipeline import seen_from
+from ebjax.slam.verify import seen_from
 from ebjax.slam.view import from_camera
 
 AGAIN = Extractor(ROOTSIFT.extract, jitted=False, turn=None)
