@@ -29,13 +29,14 @@ def floornet(weights: Path | None, arithmetic: Arithmetic) -> Descriptor:
 
     # The weights are arguments of one program: as constants in it they would be compiled.
     def look(view: Float[Array, "H W 3"], seen: Bool[Array, "H W"], image: Any) -> Mapping[str, Array]:
-        return _look(graph, state, jnp.asarray(view), jnp.asarray(seen))
+        return describe_view(graph, state, jnp.asarray(view), jnp.asarray(seen))
 
     return Descriptor(look, unite, jitted=False, has_maps=True, weights=path)
 
 
 @partial(jax.jit, static_argnames="graph")
-def _look(graph: Any, state: Any, view: Float[Array, "H W 3"], seen: Bool[Array, "H W"]) -> Mapping[str, Array]:
+def describe_view(graph: Any, state: Any, view: Float[Array, "H W 3"], seen: Bool[Array, "H W"]) -> Mapping[str, Array]:
+    """What is kept of a view, RGB in [0, 1]: its place map, float16, and which of its cells are seen."""
     grey, shown = fitted(luma(view).astype(jnp.float32), seen.astype(jnp.float32))
     places = nnx.merge(graph, state)(grey[None], shown[None]).places[0]
     rows, columns, _ = places.shape

@@ -120,29 +120,40 @@ def forward(network: FloorNet, pairs: Pairs, *, training: bool) -> FloorMaps:
 def objective(
     network: FloorNet,
     pairs: Pairs,
-    config: Config,
+    weights: Weights,
+    temperatures: Temperatures,
+    floors: int,
     *,
     key: Key[Array, ""],
     training: bool,
 ) -> tuple[Float[Array, ""], dict[str, Float[Array, ""]]]:
-    """The weighted sum of the losses, and what it is made of."""
+    """The weighted sum of the losses, and what it is made of.
+
+    Args:
+      network: is told the statistics of the batch in training.
+      pairs: places, floor by floor.
+      weights: of the losses.
+      temperatures: of their softmax.
+      floors: how many: what all views of a floor share does not count.
+      key: of the points that are looked at.
+      training: whether the batch normalises itself.
+    """
     maps, count = forward(network, pairs, training=training), len(pairs.first)
 
     def halves(values: Array) -> tuple[Array, Array]:
         return values[:count], values[count:]
 
     masks = _cells(pairs.seen_first), _cells(pairs.seen_second)
-    first, second = without_common(*halves(maps.places), masks, config.floors)
+    first, second = without_common(*halves(maps.places), masks, floors)
     scores = correlations(first, second, masks)
     every = jnp.ones_like(scores, dtype=bool)
-    places = cross_entropy(scores / config.temperatures.places, every, every[0])
+    places = cross_entropy(scores / temperatures.places, every, every[0])
     points = choose_points(pairs.first, pairs.seen_first, LOCAL_POINTS, key=key)
     there, valid = correspondences(points, pairs.second_from_first, pairs.seen_second)
     few = (points[:, :DENSE_POINTS], there[:, :DENSE_POINTS]), valid[:, :DENSE_POINTS]
-    dense = dense_loss(first, second, *few, config.temperatures.dense)
+    dense = dense_loss(first, second, *few, temperatures.dense)
     at = points, there
-    local, score, right = local_loss(*halves(maps.local), halves(maps.score), at, valid, config.temperatures.local)
-    weights = config.weights
+    local, score, right = local_loss(*halves(maps.local), halves(maps.score), at, valid, temperatures.local)
     loss = weights.places * places + weights.dense * dense + weights.local * local + weights.score * score
     return loss, {
         "loss": loss,
@@ -153,6 +164,10 @@ def objective(
         "R@1": first_is_best(scores),
         "right": right,
     }
+
+
+def _parts(config: Config) -> tuple[Weights, Temperatures, int]:
+    return config.weights, config.temperatures, config.floors
 
 
 def _cells(seen: Float[Array, "S S"]) -> Float[Array, "s s"]:
@@ -173,7 +188,7 @@ def _step(state: dict[str, Any], canvases: Float[Array, "C h w 3"], graph: Any, 
 
     def loss(params, rest):
         network = nnx.merge(graph, params, rest, copy=True)
-        value, metrics = objective(network, pairs, config, key=point_key, training=True)
+        value, metrics = objective(network, pairs, *_parts(config), key=point_key, training=True)
         return value, (metrics, nnx.state(network, nnx.Not(nnx.Param)))
 
     (_, (metrics, rest)), gradient = jax.value_and_grad(loss, has_aux=True)(state["params"], state["rest"])
@@ -190,7 +205,7 @@ def _validate(
     view_key, point_key = jax.random.split(key)
     pairs = sample_pairs(canvases, config.places, config.side_px, key=view_key)
     network = nnx.merge(graph, state["params"], state["rest"])
-    return objective(network, pairs, config, key=point_key, training=False)[1]
+    return objective(network, pairs, *_parts(config), key=point_key, training=False)[1]
 
 
 def task(config: Config, canvases: Float[np.ndarray, "N h w 3"]) -> Task:

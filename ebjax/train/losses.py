@@ -29,7 +29,7 @@ def cross_entropy(
       valid: rows and columns that take part.
     """
     count = similarity.shape[-1]
-    same = jnp.eye(count, dtype=bool)
+    same = jnp.broadcast_to(jnp.eye(count, dtype=bool), similarity.shape)
     present = (allowed & valid[..., None, :] & valid[..., :, None]) | same
     logits = jnp.where(present, similarity, -1e9)
     diagonal = jnp.diagonal(similarity, axis1=-2, axis2=-1)
