@@ -45,7 +45,9 @@ class Config:
     """camera.json: makes the floor view metric."""
     quad: tuple[float, float, float, float, float, float, float, float] | None = None
     """Four points of the floor, x y px each: far left, far right, near right, near left."""
-    extractor: Literal["rootsift", "sift", "orb", "surf", "superpoint", "d2net", "alike", "all"] = "rootsift"
+    extractor: Literal["rootsift", "floornet", "sift", "orb", "surf", "superpoint", "d2net", "alike", "all"] = (
+        "rootsift"
+    )
     """Local feature; all compares those that can be used here and keeps what most matches agree on."""
     weights: Path | None = None
     """Of a network: its .safetensors file, or a folder of them; None: $EBJAX_WEIGHTS or ~/.cache/ebjax/weights."""

@@ -17,11 +17,13 @@ from jaxtyping import Array, Float
 
 from ebjax.models.catalogue import find, resolve
 from ebjax.models.fast import accelerate
+from ebjax.models.floornet import FloorNet
 from ebjax.models.netvlad import Aggregation
 from ebjax.models.resnet import fold
 from ebjax.models.torch_networks import torch_network
 
 SIZES = {
+    "floornet": (200, 200, 1),
     "vgg16": (224, 224, 3),
     "resnet50": (224, 224, 3),
     "d2net": (400, 400, 3),
@@ -51,10 +53,23 @@ class Row:
     errors: dict[str, float]
 
 
+class _WholeViews(nnx.Module):
+    """floornet on grey images all of which is floor."""
+
+    def __init__(self, network: FloorNet):
+        self.network = network
+
+    def __call__(self, images: Float[Array, "B H W 1"]) -> Any:
+        grey = images[..., 0]
+        return self.network(grey, jnp.ones_like(grey))
+
+
 def contenders(name: str) -> dict[str, Any]:
     """Our networks, stand-in weights: ResNet folded, as one would use it."""
     if name == "netvlad-head":
         exact: Any = Aggregation(rngs=nnx.Rngs(0))
+    elif name == "floornet":
+        exact = _WholeViews(FloorNet(rngs=nnx.Rngs(0)))
     else:
         exact = resolve(find(name).build)(None, rngs=nnx.Rngs(0))
     exact = fold(exact) if name == "resnet50" else exact

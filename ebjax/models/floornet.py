@@ -82,7 +82,7 @@ def local_contrast(grey: Float[Array, "B H W"], seen: Float[Array, "B H W"]) -> 
     height, width = grey.shape[1:]
 
     def blur(values):
-        rows, columns = (jnp.asarray(_gaussian(n), values.dtype) for n in (height, width))
+        rows, columns = (jnp.asarray(gaussian(n), values.dtype) for n in (height, width))
         return jnp.einsum("yi,bij,xj->byx", rows, values, columns, precision="highest")
 
     weight = jnp.maximum(blur(seen), 1e-3)
@@ -91,7 +91,8 @@ def local_contrast(grey: Float[Array, "B H W"], seen: Float[Array, "B H W"]) -> 
     return jnp.clip(centred / deviation, -4, 4)
 
 
-def _gaussian(size: int) -> Float[np.ndarray, "n n"]:
+def gaussian(size: int) -> Float[np.ndarray, "n n"]:
+    """The window of the contrast as a matrix; its rows sum to 1."""
     offset = np.arange(size)
     kernel = np.exp(-0.5 * ((offset[:, None] - offset[None, :]) / CONTRAST_PX) ** 2)
     return (kernel / kernel.sum(1, keepdims=True)).astype(np.float32)

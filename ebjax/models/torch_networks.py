@@ -111,7 +111,49 @@ def _netvlad_head() -> Any:
     return Head()
 
 
+def _floornet() -> Any:
+    import torch
+    from torch import nn
+    from torch.nn.functional import interpolate, normalize
+
+    from ebjax.models.floornet import CONTRAST_FLOOR, STEM, TOP, gaussian
+
+    def stack(channels: int, layers: Any) -> Any:
+        parts: list[Any] = []
+        for width, size, stride in layers:
+            padding = size // 2 if size % 2 else (size - stride) // 2
+            parts += [nn.Conv2d(channels, width, size, stride, padding), nn.ReLU(inplace=True)]
+            channels = width
+        return nn.Sequential(*parts)
+
+    class FloorNet(nn.Module):
+        """Its norms folded, its pairs as plain channels."""
+
+        def __init__(self):
+            super().__init__()
+            self.stem, self.top = stack(1, STEM), stack(STEM[-1][0], TOP)
+            self.places = nn.Conv2d(TOP[-1][0], 64, 1, bias=False)
+            self.merge = nn.Sequential(nn.Conv2d(STEM[-1][0] + TOP[-1][0], 96, 1), nn.ReLU(inplace=True))
+            self.local, self.score = nn.Conv2d(96, 64, 1, bias=False), nn.Conv2d(96, 1, 1)
+
+        def forward(self, x):
+            rows, columns = (torch.from_numpy(gaussian(n)) for n in x.shape[2:])
+            blur = lambda v: rows @ v @ columns.T  # noqa: E731
+            seen = torch.ones_like(x)
+            weight = blur(seen).clamp(min=1e-3)
+            centred = (x - blur(x * seen) / weight) * seen
+            fine = self.stem((centred / (blur(centred**2) / weight + CONTRAST_FLOOR**2).sqrt()).clamp(-4, 4))
+            coarse = self.top(fine)
+            places = self.places(coarse)
+            places = places / (1 + (places**2).sum(1, keepdim=True)).sqrt()
+            both = self.merge(torch.cat([fine, interpolate(coarse, scale_factor=2, mode="bilinear")], 1))
+            return places, normalize(self.local(both)), self.score(both)
+
+    return FloorNet()
+
+
 NETWORKS: dict[str, Callable[[], Any]] = {
+    "floornet": _floornet,
     "vgg16": _vgg16,
     "resnet50": _resnet50,
     "d2net": _d2net,

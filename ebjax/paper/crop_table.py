@@ -27,7 +27,7 @@ Photographs = Mapping[str, UInt8[np.ndarray, "_ _ 3"]]
 
 TOP_VIEW_PX = 400
 REAL, SYNTHETIC = "real", "synthetic"
-RANKINGS = {"rootsift-vlad": ("correlation", "cosine")}
+RANKINGS = {name: ("correlation", "cosine") for name in ("floornet", "rootsift-vlad")}
 SHOWN = 6
 
 

@@ -29,8 +29,8 @@ from ebjax.slam.pipeline import PipelineConfig
 Tables = dict[str, dict[str, dict[str, dict[str, Any]]]]
 """table -> row -> data set -> metric."""
 
-TABLE_1 = ("netvlad", "rootsift-vlad", "joint")
-RANKINGS = {"rootsift-vlad": ("correlation", "cosine")}
+TABLE_1 = ("netvlad", "floornet", "rootsift-vlad", "joint")
+RANKINGS = {name: ("correlation", "cosine") for name in ("floornet", "rootsift-vlad")}
 JOINT_INPUTS = (FLOOR, TURNED, BOTH)
 REAL = "real"
 PICTURES = {"trajectory": figures.trajectory, "map": figures.registered_maps}

@@ -19,6 +19,7 @@ from ebjax.io.text import read_text
 TASKS = {
     "floornet": "ebjax.train.floornet",
     "finetune": "ebjax.train.finetune",
+    "throughput": "ebjax.train.throughput",
 }
 """Each is a module with a dataclass `Config` and `run(config, out, resume=)`. A new one is a file and a line here."""
 
