@@ -22,6 +22,8 @@ TASKS = {
     "finetune": "ebjax.train.finetune",
 }
 """Each is a module with a dataclass `Config` and `run(config, out, resume=)`. A new one is a file and a line here."""
+SHARED = {"floornet"}
+"""Tasks whose steps several processes can share."""
 
 
 def task_of(argv: list[str]) -> str:
@@ -80,6 +82,8 @@ def main(config: Any) -> None:
     """Trains."""
     module = importlib.import_module(TASKS[config.task])
     own = {field.name: getattr(config, field.name) for field in dataclasses.fields(module.Config)}
+    if config.processes > 1 and config.task not in SHARED:
+        raise ValueError(f"--processes is {config.processes}: the task {config.task} trains in one process")
     processes.join(config.processes, config.process, config.coordinator)
     with processes.together():
         module.run(module.Config(**own), config.out, resume=config.resume)

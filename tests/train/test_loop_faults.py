@@ -1,5 +1,6 @@
 """What may befall a training: killed, its checkpoint damaged, its config changed, its disk full."""
 
+import importlib
 import json
 import os
 import resource
@@ -11,9 +12,8 @@ from pathlib import Path
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
-import toy_training
-from toy_training import EVERY, STEPS, fit
-
+toy_training = importlib.import_module("toy_training")
+EVERY, STEPS, fit = toy_training.EVERY, toy_training.STEPS, toy_training.fit
 CHECKPOINTS = "checkpoints"
 
 

@@ -9,7 +9,10 @@ from pathlib import Path
 
 import pytest
 
+from ebjax.train import __main__ as command
 from ebjax.train import processes
+
+sys.path.insert(0, str(Path(__file__).parent))
 
 TOY = str(Path(__file__).with_name("toy_training.py"))
 
@@ -75,6 +78,13 @@ def test_two_processes_and_two_devices_train_as_one_and_a_killed_peer_is_told(tr
 def test_what_cannot_be_joined(arguments, words):
     with pytest.raises(ValueError, match=words):
         processes.join(*arguments)
+
+
+def test_what_cannot_be_shared(monkeypatch, tmp_path):
+    monkeypatch.setitem(command.TASKS, "toy", "toy_training")
+    with pytest.raises(ValueError, match="--processes is 2: the task toy trains in one process"):
+        command.main(command.command("toy")(out=tmp_path, processes=2))
+    assert not (tmp_path / "log.jsonl").exists()
 
 
 def test_alone_nothing_is_laid_out_and_errors_stay():

@@ -91,5 +91,6 @@ def _kill():
 
 if __name__ == "__main__":
     command.TASKS["toy"] = "toy_training"
+    command.SHARED.add("toy")
     sys.argv[1:1] = ["--task", "toy"]
     command._main()
