@@ -17,7 +17,12 @@ ROOT = Path(__file__).parents[1]
 TOP = {"pyproject.toml", "ebjax", "notebooks", "tests", "configs", "README.md", "LICENSE"}
 CONFIGS = sorted((ROOT / "configs").rglob("*.yaml"))
 # Where it is not the module's own name:
-DISTRIBUTION = {"cv2": "opencv-python-headless", "faiss": "faiss-cpu", "yaml": "pyyaml"}
+DISTRIBUTION = {
+    "cv2": "opencv-python-headless",
+    "faiss": "faiss-cpu",
+    "orbax": "orbax-checkpoint",
+    "yaml": "pyyaml",
+}
 
 # Configs that are named by what they describe:
 ROOM = {"worlds": "floors"}

@@ -22,7 +22,7 @@ def whole_file(path: str | Path, mode: str = "w") -> Iterator[IO[Any]]:
       mode: "w" (UTF-8 text, lines end in a newline everywhere) or "wb".
 
     Raises:
-      OSError: the folder cannot be written, or `path` is a folder.
+      OSError: the folder cannot be written, the disk is full, or `path` is a folder; names the file.
     """
     path = Path(path)
     if path.is_dir():
@@ -34,6 +34,10 @@ def whole_file(path: str | Path, mode: str = "w") -> Iterator[IO[Any]]:
         with open(temporary, mode.replace("w", "x"), **text) as file:  # type: ignore[call-overload]
             yield file
         os.replace(temporary, path)
+    except OSError as fault:
+        if fault.errno and fault.filename is None:  # a full disk does not say which file it was
+            raise OSError(fault.errno, fault.strerror, str(path)) from None
+        raise
     finally:
         temporary.unlink(missing_ok=True)
 

@@ -15,6 +15,7 @@ import yaml
 
 from ebjax.command import run
 from ebjax.io.text import read_text
+from ebjax.train import processes
 
 TASKS = {
     "floornet": "ebjax.train.floornet",
@@ -22,6 +23,8 @@ TASKS = {
     "throughput": "ebjax.train.throughput",
 }
 """Each is a module with a dataclass `Config` and `run(config, out, resume=)`. A new one is a file and a line here."""
+SHARED = {"floornet"}
+"""Tasks whose steps several processes can share."""
 
 
 def task_of(argv: list[str]) -> str:
@@ -55,12 +58,18 @@ def command(name: str) -> type[Any]:
     module = importlib.import_module(TASKS[name])
     out = Annotated[Path, tyro.conf.arg(help="Folder for weights, log and checkpoints.")]
     resume = Annotated[bool, tyro.conf.arg(help="Go on from the latest checkpoint in --out.")]
+    count = Annotated[int, tyro.conf.arg(help="How many processes train together, all by this command.")]
+    which = Annotated[int, tyro.conf.arg(help="Which of them this one is, from 0.")]
+    where = Annotated[str, tyro.conf.arg(help="HOST:PORT of process 0, free and within reach of all.")]
     made = dataclasses.make_dataclass(
         "Config",
         [
             ("task", Literal[name], dataclasses.field(default=name)),  # type: ignore[valid-type]
             ("out", out, dataclasses.field(default=Path("runs/train"))),
             ("resume", resume, dataclasses.field(default=False)),
+            ("processes", count, dataclasses.field(default=1)),
+            ("process", which, dataclasses.field(default=0)),
+            ("coordinator", where, dataclasses.field(default="")),
         ],
         bases=(module.Config,),
         frozen=True,
@@ -74,7 +83,12 @@ def main(config: Any) -> None:
     """Trains."""
     module = importlib.import_module(TASKS[config.task])
     own = {field.name: getattr(config, field.name) for field in dataclasses.fields(module.Config)}
-    module.run(module.Config(**own), config.out, resume=config.resume)
+    if config.processes > 1 and config.task not in SHARED:
+        raise ValueError(f"--processes is {config.processes}: the task {config.task} trains in one process")
+    processes.join(config.processes, config.process, config.coordinator)
+    with processes.together():
+        module.run(module.Config(**own), config.out, resume=config.resume)
+        processes.wait("end")
 
 
 def _main() -> None:
@@ -83,7 +97,11 @@ def _main() -> None:
     except (ValueError, OSError) as fault:
         print(f"error: {fault}", file=sys.stderr)
         sys.exit(2)
-    run(main, options)
+    try:
+        run(main, options)
+    except SystemExit as stop:
+        processes.leave(stop.code)
+        raise
 
 
 if __name__ == "__main__":

@@ -18,6 +18,7 @@ from jaxtyping import Array, Float, Key
 
 from ebjax.models.floornet import CELL, FloorMaps, FloorNet
 from ebjax.models.weights import flat_arrays, load_into, load_weights, save_weights
+from ebjax.train import processes
 from ebjax.train.canvas import NAMES, make_canvases
 from ebjax.train.loop import LoopConfig, Task, fit
 from ebjax.train.losses import (
@@ -195,7 +196,7 @@ def _step(state: dict[str, Any], canvases: Float[Array, "C h w 3"], graph: Any, 
     update, optimiser = _optimiser(config).update(gradient, state["optimiser"], state["params"])
     params = optax.apply_updates(state["params"], update)
     metrics["gradient"] = optax.global_norm(gradient)
-    return {"params": params, "rest": rest, "optimiser": optimiser}, metrics
+    return processes.kept_whole({"params": params, "rest": rest, "optimiser": optimiser}), metrics
 
 
 @partial(jax.jit, static_argnames=("graph", "config"))
@@ -220,13 +221,13 @@ def task(config: Config, canvases: Float[np.ndarray, "N h w 3"]) -> Task:
     def step(state, number):
         rng = np.random.default_rng([config.seed, number])
         rows = config.held_out + _of_families(rng, len(canvases) - config.held_out, config.floors)
-        chosen = jnp.asarray(canvases[rows])
+        chosen = processes.share(canvases[rows])
         return _step(state, chosen, graph, config, key=jax.random.fold_in(root, number))
 
     def validate(state):
         found = []
         for k in range(config.held_out // config.floors):
-            some = jnp.asarray(canvases[k * config.floors : (k + 1) * config.floors])
+            some = processes.share(canvases[k * config.floors : (k + 1) * config.floors])
             found.append(_validate(state, some, graph, config, key=jax.random.fold_in(held_root, k)))
         mean = {name: float(np.mean([float(one[name]) for one in found])) for name in found[0]}
         return {**mean, "score": -mean["loss"]}
@@ -250,5 +251,6 @@ def _of_families(rng: np.random.Generator, count: int, floors: int) -> np.ndarra
 def run(config: Config, out: Path, *, resume: bool) -> None:
     """Trains; writes floornet.safetensors (the best of all validations) beside log and checkpoints."""
     check(config)
-    canvases = make_canvases(config.canvases, out / "canvases.npy", seed=config.seed)
+    processes.check_rows(config.floors, "floors")
+    canvases = processes.in_turn(lambda: make_canvases(config.canvases, out / "canvases.npy", seed=config.seed))
     fit(task(config, canvases), config.loop, out, resume=resume)

@@ -4,11 +4,15 @@ What a step does depends on the state and its number alone, so a run that is kil
 the numbers it would have had. Checkpoints are Orbax's, renamed into place whole; the two latest stay.
 """
 
+import contextlib
 import dataclasses
+import errno
 import json
+import logging
+import os
 import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +21,7 @@ import numpy as np
 
 from ebjax.command import progress
 from ebjax.io.atomic import whole_file, whole_folder
+from ebjax.train import processes
 
 LOG, CHECKPOINTS, PLACE = "log.jsonl", "checkpoints", "place.json"
 SCORE = "score"
@@ -85,12 +90,15 @@ def fit(task: Task, config: LoopConfig, out: Path, *, resume: bool) -> Metrics:
     if not resume and store.steps():
         raise ValueError(f"{out}: holds a training; give --resume to go on with it, or another --out")
     state, place = store.load(task.state) if resume else (task.state, _Place())
+    processes.agree((place.step, store.settings), f"config or step in {store.folder}")
+    state = processes.replicate(state)
     log = _Log(out / LOG, place.step)
-    started, metrics = time.perf_counter() - place.seconds, {}
+    started = time.perf_counter() - place.seconds
+    left = range(place.step, config.steps if place.stale < config.patience else place.step)
+    metrics = _floats(task.validate(state)) if place.step == 0 or not left else {}
     if place.step == 0:
-        metrics = _floats(task.validate(state))
         log.write(0, "validation", metrics, 0.0)
-    for number in progress(range(place.step, config.steps), config.steps - place.step, "training"):
+    for number in progress(left, len(left), "training") if processes.first() else left:
         state, found = task.step(state, number)
         place.step, place.seconds = number + 1, time.perf_counter() - started
         values = _floats(found)
@@ -104,13 +112,16 @@ def fit(task: Task, config: LoopConfig, out: Path, *, resume: bool) -> Metrics:
         place.stale += 1
         if place.best is None or metrics[SCORE] > place.best:
             place.best, place.stale = metrics[SCORE], 0
-            task.export(state, {"step": place.step, **metrics}, out)
-        left = (config.steps - place.step) * place.seconds / place.step
-        print(f"step {place.step:5d}  {_words(values)}  |  validation {_words(metrics)}  |  {left / 60:.0f} min left")
-        store.save(state, place)
+            if processes.first():
+                task.export(state, {"step": place.step, **metrics}, out)
+        minutes = (config.steps - place.step) * place.seconds / place.step / 60
+        if processes.first():
+            store.save(state, place)
+            print(f"step {place.step:5d}  {_words(values)}  |  validation {_words(metrics)}  |  {minutes:.0f} min left")
         if place.stale >= config.patience:
-            print(f"stopped: {place.stale} validations without a better score")
             break
+    if place.stale >= config.patience and processes.first():
+        print(f"stopped: {place.stale} validations without a better score")
     return metrics
 
 
@@ -139,11 +150,12 @@ class Checkpoints:
 
     def save(self, state: State, place: _Place) -> None:
         """Writes one whole; only then are all but it and the one before removed."""
-        import orbax.checkpoint as ocp
-
         with whole_folder(self.folder / str(place.step)) as folder:
-            with ocp.StandardCheckpointer() as writer:
-                writer.save(folder / "state", state)
+            try:
+                with _checkpointer() as writer:
+                    writer.save(folder / "state", jax.tree.map(np.asarray, state))
+            except Exception as fault:  # Orbax raises whatever its storage raises
+                raise OSError(f"{self.folder}: step {place.step} cannot be kept ({_reason(fault)})") from fault
             with whole_file(folder / PLACE) as file:
                 json.dump({"place": dataclasses.asdict(place), "settings": self.settings}, file, indent=1)
         for step in self.steps()[:-2]:
@@ -157,8 +169,6 @@ class Checkpoints:
         Raises:
           ValueError: it cannot be read, or is of other settings.
         """
-        import orbax.checkpoint as ocp
-
         if not (steps := self.steps()):
             return like, _Place()
         folder = self.folder / str(steps[-1])
@@ -174,8 +184,8 @@ class Checkpoints:
                     "restore the config, or give another --out"
                 )
         try:
-            with ocp.StandardCheckpointer() as reader:
-                state = reader.restore(folder / "state", jax.tree.map(ocp.utils.to_shape_dtype_struct, like))
+            with _checkpointer() as reader:
+                state = reader.restore(folder / "state", jax.tree.map(np.asarray, like))
         except Exception as fault:  # Orbax raises whatever its storage raises
             raise self._broken(folder, steps) from fault
         return state, place
@@ -185,11 +195,36 @@ class Checkpoints:
         return ValueError(f"{folder}: this checkpoint cannot be read; delete that folder {before}")
 
 
+@contextlib.contextmanager
+def _checkpointer() -> Iterator[Any]:
+    """Orbax's, for this process alone (all have the same state), without the tracebacks that it logs of its threads."""
+    import orbax.checkpoint as ocp
+
+    own, log = jax.process_index(), logging.getLogger("absl")
+    alone = ocp.options.MultiprocessingOptions(primary_host=own, active_processes={own})
+    level = log.level
+    log.setLevel(logging.CRITICAL)
+    try:
+        with ocp.StandardCheckpointer(multiprocessing_options=alone) as checkpointer:
+            yield checkpointer
+    finally:
+        log.setLevel(level)
+
+
+def _reason(fault: Exception) -> str:
+    """The system's own words in an error of the storage: "No space left on device"."""
+    text = " ".join(str(fault).split())
+    words = [os.strerror(number) for number in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EACCES, errno.EROFS)]
+    return next((known for known in words if known in text), text[:200] or type(fault).__name__)
+
+
 class _Log:
     """JSON lines; those after the step that is gone on from are taken away first."""
 
     def __init__(self, path: Path, step: int):
-        self.path = path
+        self.path = path if processes.first() else None
+        if self.path is None:
+            return
         kept = []
         if step and path.is_file():
             lines = path.read_text(encoding="utf-8").splitlines()
@@ -198,9 +233,14 @@ class _Log:
             file.write("".join(f"{line}\n" for line in kept))
 
     def write(self, step: int, kind: str, metrics: Metrics, seconds: float) -> None:
-        with open(self.path, "a", encoding="utf-8") as file:
-            line = {"step": step, "kind": kind, "seconds": round(seconds, 3), **metrics}
-            file.write(json.dumps(line) + "\n")
+        if self.path is None:
+            return
+        line = {"step": step, "kind": kind, "seconds": round(seconds, 3), **metrics}
+        try:
+            with open(self.path, "a", encoding="utf-8") as file:
+                file.write(json.dumps(line) + "\n")
+        except OSError as fault:
+            raise OSError(fault.errno, fault.strerror, str(self.path)) from None
 
 
 def _floats(metrics: dict[str, Any]) -> Metrics:

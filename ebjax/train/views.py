@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from ebjax.geometry.warp import sample_bilinear
+from ebjax.train.processes import map_rows
 
 PITCH_PX = 166
 """Distance of places on a canvas: nine, which hardly overlap."""
@@ -167,6 +168,6 @@ def sample_pairs(canvases: Float[Array, "C h w 3"], places: int, side: int, *, k
             lambda one: _pair(canvas.astype(jnp.float32), one[0], zoom, side, key=one[1]), (centres, keys)
         )
 
-    made = jax.lax.map(of_canvas, (canvases, jax.random.split(key, len(canvases))))
+    made = map_rows(of_canvas, (canvases, jax.random.split(key, len(canvases))))
     first, second, warp = (leaf.reshape(-1, *leaf.shape[2:]) for leaf in made)
     return Pairs(first, second, field, field[::-1, ::-1], warp)

@@ -1,3 +1,5 @@
+import resource
+
 import pytest
 
 from ebjax.io.atomic import whole_file, whole_folder
@@ -68,3 +70,14 @@ def test_folder_over_a_file_names_it(tmp_path):
     (tmp_path / "f").write_text("")
     with pytest.raises(OSError, match="name a folder"), whole_folder(tmp_path / "f"):
         pass
+
+
+def test_a_full_disk_is_told_with_the_name_of_the_file(tmp_path):
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, limits[1]))
+    try:
+        with pytest.raises(OSError, match=r"large.*b\.txt"), whole_file(tmp_path / "b.txt") as file:
+            file.write("x" * 10_000)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert contents(tmp_path) == {}
