@@ -30,6 +30,7 @@ KEYPOINT_PX = 0.25
 """Standard deviation of a keypoint, px of the floor view."""
 MATCHES = 64
 _PAIRS_A_CALL = 32
+Load = Callable[[int], np.ndarray | None]
 
 
 @typing.no_type_check
@@ -148,7 +149,7 @@ def _rays(image_from_view: Float[Arrays, "3 3"], intrinsics: Float[Arrays, "3 3"
 
 
 def match_pairs(
-    load: Callable[[int], np.ndarray | None],
+    load: Load,
     first: Int[np.ndarray, " P"],
     second: Int[np.ndarray, " P"],
     odom_from_base: Float[np.ndarray, "F 3"],

@@ -13,11 +13,10 @@ over the mount and, pair by pair, over the errors n of its odometry (variable pr
 function of m, found by Gauss-Newton and differentiated by its last step). What a run does not tell stays at the start.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
@@ -69,7 +68,9 @@ def _floor(mount, pairs):
     points, slopes = on_floor(mount, pairs.rays, pairs.spreads)
     c, s = jnp.cos(pairs.motion[:, 2])[:, None, None], jnp.sin(pairs.motion[:, 2])[:, None, None]
     first, second = slopes[:, 0], slopes[:, 1]
-    turned = jnp.stack([c * second[..., 0, :] - s * second[..., 1, :], s * second[..., 0, :] + c * second[..., 1, :]], 2)
+    turned = jnp.stack(
+        [c * second[..., 0, :] - s * second[..., 1, :], s * second[..., 0, :] + c * second[..., 1, :]], 2
+    )
     sides = jnp.concatenate([first, turned], -1)
     xx, xy, yy = (jnp.sum(sides[..., i, :] * sides[..., j, :], -1) for i, j in ((0, 0), (0, 1), (1, 1)))
     l11 = jnp.sqrt(xx)
@@ -79,7 +80,7 @@ def _floor(mount, pairs):
 
 
 def _residuals(floor, motion):
-    """r of all matches at given motions of the pairs, and its derivative by the motion, each "2 P K (3)"."""
+    """Returns r of all matches at given motions of the pairs, 2 P K, and its derivative by the motion, 2 P K 3."""
     x, y, c, s = motion[:, 0, None], motion[:, 1, None], jnp.cos(motion[:, 2, None]), jnp.sin(motion[:, 2, None])
     across, along = s * floor.bx + c * floor.by, c * floor.bx - s * floor.by
     one, zero = jnp.ones_like(along), jnp.zeros_like(along)
@@ -146,11 +147,12 @@ def solve(
         return r, errors, y
 
     begin = jnp.where(sigma > 0, (jnp.asarray(at) - start) / jnp.where(sigma > 0, sigma, 1), 0)
-    solver = optx.LevenbergMarquardt(rtol=1e-4, atol=1e-4)
-    found = optx.least_squares(cost_terms, solver, begin, max_steps=MAX_STEPS, throw=False)
+    solver: Any = optx.LevenbergMarquardt(rtol=1e-4, atol=1e-4)
+    found: optx.Solution = optx.least_squares(cost_terms, solver, begin, max_steps=MAX_STEPS, throw=False)
     mount = start + sigma * found.value
     r, errors, distance = residuals(mount, pairs, width)
-    return Solved(mount, sum(jnp.sum(part**2) for part in (r, errors, found.value)), distance, errors)
+    cost = jnp.sum(r**2) + jnp.sum(errors**2) + jnp.sum(found.value**2)
+    return Solved(mount, cost, distance, errors)
 
 
 @jax.jit
@@ -173,11 +175,13 @@ def curvature_sigma(
 
 
 @jax.jit
-def count_agreeing(mounts: Float[Arrays, "H 6"], pairs: FloorPairs, limit: float) -> Float[Array, " H"]:
-    """sum min(r^T r / limit^2, 1) - 1 over the matches at every mount, odometry taken as it is: minus a soft count."""
+def count_agreeing(
+    mounts: Float[Arrays, "H 6"], pairs: FloorPairs, limit: float | Float[Array, ""]
+) -> Float[Array, " H"]:
+    """How many matches coincide at every mount, softly: sum max(1 - r^T r / limit^2, 0), odometry taken as it is."""
 
     def one(mount):
         r, _ = _residuals(_floor(mount, pairs), pairs.motion)
-        return jnp.sum((jnp.minimum(jnp.sum(r * r, 0) / limit**2, 1) - 1) * pairs.valid)
+        return jnp.sum(jnp.maximum(1 - jnp.sum(r * r, 0) / limit**2, 0) * pairs.valid)
 
     return jax.lax.map(one, jnp.asarray(mounts))
