@@ -18,6 +18,7 @@ from ebjax.io.text import read_text
 
 TASKS = {
     "floornet": "ebjax.train.floornet",
+    "calibrate": "ebjax.train.calibrate",
 }
 """Each is a module with a dataclass `Config` and `run(config, out, resume=)`. A new one is a file and a line here."""
 

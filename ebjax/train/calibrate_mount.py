@@ -30,6 +30,8 @@ SEARCH_STEP = (np.radians(1.0), np.radians(1.0), 0.05)
 SEARCH_LIMIT = 12.0
 """Matches this near count at a mount of the grid, standard deviations: about what half a step of it moves them."""
 SEARCH_PAIRS = 40
+MIN_SHARE = 0.1
+"""Of all matches, that must count at the best mount of the grid; floors that repeat leave half of them or more."""
 MIN_MATCHES = 12
 MIN_PAIRS = 8
 FOLDS = 8
@@ -93,7 +95,11 @@ def calibrate(
 
 
 def search(pairs: FloorPairs, start: Float[np.ndarray, "6"], sigma: Float[np.ndarray, "6"]) -> Float[np.ndarray, "6"]:
-    """The mount of a grid over pitch, roll and height around the start under which most matches coincide."""
+    """The mount of a grid over pitch, roll and height around the start under which most matches coincide.
+
+    Raises:
+      ValueError: too few do under any.
+    """
     axes = [np.array([value]) for value in start]
     for k, step in zip((0, 1, 3), SEARCH_STEP, strict=True):
         step = step * (start[k] if k == 3 else 1)
@@ -101,8 +107,14 @@ def search(pairs: FloorPairs, start: Float[np.ndarray, "6"], sigma: Float[np.nda
         axes[k] = start[k] + step * np.arange(-reach, reach + 1)
     grid = np.array(list(itertools.product(*axes)))
     rows = np.unique(np.linspace(0, len(pairs.motion) - 1, SEARCH_PAIRS).round().astype(int))
-    counts = count_agreeing(grid, jax.tree.map(lambda leaf: leaf[rows], pairs), SEARCH_LIMIT)
-    return grid[int(np.argmax(np.asarray(counts)))]
+    some = jax.tree.map(lambda leaf: leaf[rows], pairs)
+    shares = np.asarray(count_agreeing(grid, some, SEARCH_LIMIT) / jnp.maximum(some.valid.sum(), 1))
+    if shares.max() < MIN_SHARE:
+        raise ValueError(
+            f"{shares.max():.0%} of the matches of floor views agree with odometry, at least {MIN_SHARE:.0%} must: "
+            "check odometry.txt, fx, fy and T_base_camera, or search farther (pitch_sigma_deg, height_sigma)"
+        )
+    return grid[int(np.argmax(shares))]
 
 
 def agreeing(pairs: FloorPairs, mount: Float[np.ndarray, "6"], width: float) -> FloorPairs:
@@ -115,8 +127,8 @@ def agreeing(pairs: FloorPairs, mount: Float[np.ndarray, "6"], width: float) -> 
     enough = valid.sum(1) >= MIN_MATCHES
     if enough.sum() < MIN_PAIRS:
         raise ValueError(
-            f"{enough.sum()} of {len(valid)} pairs of floor views agree with odometry, at least {MIN_PAIRS} must: "
-            "check fx, fy and T_base_camera in camera.json, or search farther (pitch_sigma_deg, height_sigma)"
+            f"{enough.sum()} of {len(valid)} pairs of floor views have {MIN_MATCHES} matches that agree, at least "
+            f"{MIN_PAIRS} must: record more of the floor, in better light"
         )
     return dataclasses.replace(pairs, valid=jnp.asarray(valid * enough[:, None], pairs.rays.dtype))
 

@@ -9,8 +9,9 @@ noise of the matches would pull the floor towards the camera, where everything i
 
     sum_pairs ( sum_matches width^2 log(1 + r^T r / width^2) + n^T n ) + |(m - start) / sigma|^2
 
-over the mount and, pair by pair, over the errors n of its odometry (variable projection: the best n of a pair is a
-function of m, found by Gauss-Newton and differentiated by its last step). What a run does not tell stays at the start.
+over the mount and, pair by pair, over the errors n of its odometry: the best n of a pair is a function of m (variable
+projection), found by Gauss-Newton and differentiated through its last step only (Kaufman 1975). The gradient of the sum
+is exact all the same, n being an optimum. What a run does not tell of the mount stays at the start.
 """
 
 from typing import Any, NamedTuple
@@ -24,7 +25,7 @@ from ebjax.geometry.homography import Arrays
 from ebjax.geometry.mount import Mount, base_from_mounted_camera
 from ebjax.train.calibrate_pairs import FloorPairs
 
-INNER_STEPS = 4
+INNER_STEPS = 8
 MAX_STEPS = 50
 LEAST_DOWN = 1e-3
 """Rays flatter than this, m of height per m ahead, are taken to meet the floor at that slope."""
@@ -39,6 +40,7 @@ class Solved(NamedTuple):
     errors: Float[Array, "P 3"]
 
 
+@jax.jit
 def on_floor(
     mount: Mount, rays: Float[Array, "*n 3"], spreads: Float[Array, "*n 3 2"]
 ) -> tuple[Float[Array, "*n 2"], Float[Array, "*n 2 2"]]:
