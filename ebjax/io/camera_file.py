@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from ebjax.io.atomic import whole_file
 from ebjax.io.poses import rigid_fault
 from ebjax.io.text import read_text
 
@@ -98,3 +99,20 @@ def read_camera(path: str | Path, *, depth: bool = True) -> CameraFile:
         height=_whole(path, values, "height"),
         depth_scale=_number(path, values, "depth_scale", positive=True),
     )
+
+
+def write_camera(path: str | Path, camera: CameraFile) -> None:
+    """Writes the camera.json that `read_camera` reads, whole."""
+    k = camera.intrinsics
+    values = {
+        "width": camera.width,
+        "height": camera.height,
+        "fx": float(k[0, 0]),
+        "fy": float(k[1, 1]),
+        "cx": float(k[0, 2]),
+        "cy": float(k[1, 2]),
+        "depth_scale": camera.depth_scale,
+        "T_base_camera": camera.base_from_camera.tolist(),
+    }
+    with whole_file(path) as file:
+        file.write(json.dumps(values, indent=1) + "\n")

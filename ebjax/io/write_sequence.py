@@ -1,6 +1,5 @@
 """Writes a run as the TUM-layout folder that `read_sequence` reads, whole or not at all."""
 
-import json
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -10,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, UInt8, UInt16
 
 from ebjax.io.atomic import whole_folder
-from ebjax.io.camera_file import CameraFile
+from ebjax.io.camera_file import CameraFile, write_camera
 from ebjax.io.trajectory import write_tum
 
 Frame = tuple[UInt8[np.ndarray, "H W 3"], UInt16[np.ndarray, "H W"]]
@@ -63,25 +62,10 @@ def write_sequence(
             (folder / f"{kind}.txt").write_text("".join(f"{n} {kind}/{n}.{suffix}\n" for n in names))
         write_tum(folder / "odometry.txt", timestamps, odom_from_base)
         write_tum(folder / "groundtruth.txt", timestamps, world_from_base)
-        (folder / "camera.json").write_text(_camera_json(camera))
+        write_camera(folder / "camera.json", camera)
 
 
 def _encode(path: Path, image: np.ndarray, options: list[int]) -> None:
     done, content = cv2.imencode(path.suffix, image, options)
     assert done, path
     path.write_bytes(content.tobytes())
-
-
-def _camera_json(camera: CameraFile) -> str:
-    k = camera.intrinsics
-    values = {
-        "width": camera.width,
-        "height": camera.height,
-        "fx": float(k[0, 0]),
-        "fy": float(k[1, 1]),
-        "cx": float(k[0, 2]),
-        "cy": float(k[1, 2]),
-        "depth_scale": camera.depth_scale,
-        "T_base_camera": camera.base_from_camera.tolist(),
-    }
-    return json.dumps(values, indent=1) + "\n"

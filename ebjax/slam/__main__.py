@@ -20,6 +20,7 @@ from ebjax.floors.sequence import CorridorConfig
 from ebjax.geometry.camera import Camera, FloorView
 from ebjax.io.atomic import whole_folder
 from ebjax.io.cache import open_cache
+from ebjax.io.camera_file import read_camera
 from ebjax.io.sequence import BrokenFrame, Sequence, read_sequence
 from ebjax.places.recall import facing_pairs, precision_100, recall_at_1
 from ebjax.slam.floor import camera_from_depth, floor_error_m
@@ -45,6 +46,8 @@ class Config(PipelineConfig):
     """Folder for the results."""
     depth: Literal["sequence", "none"] = "sequence"
     """Measure loops by the sequence's depth where it has any, or by the metric floor alone."""
+    camera: Path | None = None
+    """A camera.json to use in place of the sequence's own, as `python -m ebjax.train` calibrates one."""
     floor: Literal["camera", "depth"] = "camera"
     """Where the floor lies: as camera.json's T_base_camera says, or as a plane fitted to the depth images."""
     quad: Quad | None = None
@@ -103,6 +106,8 @@ def main(config: Config) -> None:
         max_time_difference_s=config.max_time_difference_s,
         min_coverage=config.min_coverage,
     )
+    if config.camera is not None:
+        sequence = with_camera(sequence, config.camera)
     frames = Frames(sequence)
     camera = run_camera(config, sequence, frames)
     try:
@@ -113,7 +118,7 @@ def main(config: Config) -> None:
         else:
             view = from_camera(camera, choose_floor(camera, config.metres_per_px))
     except ValueError as fault:
-        raise ValueError(f"{sequence.path / 'camera.json'}: {fault}") from None
+        raise ValueError(f"{config.camera or sequence.path / 'camera.json'}: {fault}") from None
 
     odometry = planar(sequence.odom_from_base)
     try:
@@ -135,6 +140,17 @@ def main(config: Config) -> None:
         write_run(folder, sequence, frames.load, result, view, metrics, config.map_metres_per_px)
         dump_config(config, folder / "config.yaml")
     print_summary(config, metrics)
+
+
+def with_camera(sequence: Sequence, path: Path) -> Sequence:
+    """The sequence with the camera of another file, which must take images of the same size."""
+    own, camera = sequence.camera, read_camera(path, depth=sequence.has_depth)
+    if (camera.width, camera.height) != (own.width, own.height):
+        raise ValueError(
+            f"{path}: {camera.width} x {camera.height} px, but the sequence's images have {own.width} x {own.height}; "
+            "name the camera.json of this camera"
+        )
+    return dataclasses.replace(sequence, camera=camera)
 
 
 def remembering(config: Config, at_end: contextlib.ExitStack) -> Remember | None:

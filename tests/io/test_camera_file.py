@@ -3,7 +3,7 @@ import json
 import numpy as np
 import pytest
 
-from ebjax.io.camera_file import KEYS, read_camera
+from ebjax.io.camera_file import KEYS, read_camera, write_camera
 
 CAMERA = {
     "fx": 600, "fy": 601.5, "cx": 320.0, "cy": 240.0, "width": 640, "height": 480, "depth_scale": 1000.0,
@@ -21,6 +21,14 @@ def test_values(tmp_path):
     np.testing.assert_array_equal(camera.intrinsics, [[600, 0, 320], [0, 601.5, 240], [0, 0, 1]])
     np.testing.assert_array_equal(camera.base_from_camera @ [0, 0, 2, 1], [2.27, 0, 0.54, 1])
     assert (camera.width, camera.height, camera.depth_scale) == (640, 480, 1000.0)
+
+
+def test_what_is_written_is_read(tmp_path):
+    camera = read_camera(written(tmp_path, CAMERA))
+    write_camera(tmp_path / "again.json", camera)
+    again = read_camera(tmp_path / "again.json")
+    for name in ("intrinsics", "base_from_camera", "width", "height", "depth_scale"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(camera, name))
 
 
 @pytest.mark.parametrize("key", KEYS)

@@ -1,5 +1,6 @@
 import csv
 import json
+import shutil
 
 import cv2
 import numpy as np
@@ -65,8 +66,12 @@ def test_closes_the_loop_of_the_way_back(rendered, tmp_path, capsys):
     assert parse(Config, ["--config", str(out / "config.yaml")]).sequence == rendered
 
 
-def test_without_depth_and_from_a_quad(rendered, tmp_path):
-    floor = slam(rendered, tmp_path / "floor", "--depth", "none")
+def test_without_depth_but_with_another_camera_and_from_a_quad(rendered, sequence, tmp_path):
+    pose = np.array(json.loads((rendered / "camera.json").read_text())["T_base_camera"])
+    pose[2, 3] *= 1.2
+    edit_json(sequence / "camera.json", T_base_camera=pose.tolist())
+    right = ["--camera", str(rendered / "camera.json")]
+    floor = slam(sequence, tmp_path / "floor", "--depth", "none", *right)
     assert floor["closures_by_depth"] == 0
     assert floor["closures_kept"] >= 3
     assert floor["closures_against_truth"]["within_5cm_1deg"] == floor["closures_kept"]
@@ -149,6 +154,14 @@ def test_bad_sequences_are_named(sequence, tmp_path, capsys, spoil, words):
     spoil(sequence)
     line = refused(capsys, sequence, tmp_path / "run")
     assert all(word in line for word in words), line
+
+
+def test_a_camera_of_other_images_is_refused(rendered, tmp_path, capsys):
+    shutil.copy(rendered / "camera.json", tmp_path / "other.json")
+    edit_json(tmp_path / "other.json", width=320)
+    line = refused(capsys, rendered, tmp_path / "run", "--camera", str(tmp_path / "other.json"))
+    assert "other.json" in line
+    assert "320 x 480" in line
 
 
 @pytest.mark.parametrize(
