@@ -144,17 +144,15 @@ def solve(
     """
     start, sigma = jnp.asarray(start), jnp.asarray(sigma)
 
-    def cost_terms(y, _):
-        r, errors, _ = residuals(start + sigma * y, pairs, width)
-        return r, errors, y
+    def terms(y, _):
+        r, errors, distance = residuals(start + sigma * y, pairs, width)
+        return (r, errors, y), (distance, errors, jnp.sum(r**2) + jnp.sum(errors**2) + jnp.sum(y**2))
 
     begin = jnp.where(sigma > 0, (jnp.asarray(at) - start) / jnp.where(sigma > 0, sigma, 1), 0)
     solver: Any = optx.LevenbergMarquardt(rtol=1e-4, atol=1e-4)
-    found: optx.Solution = optx.least_squares(cost_terms, solver, begin, max_steps=MAX_STEPS, throw=False)
-    mount = start + sigma * found.value
-    r, errors, distance = residuals(mount, pairs, width)
-    cost = jnp.sum(r**2) + jnp.sum(errors**2) + jnp.sum(found.value**2)
-    return Solved(mount, cost, distance, errors)
+    found: optx.Solution = optx.least_squares(terms, solver, begin, has_aux=True, max_steps=MAX_STEPS, throw=False)
+    distance, errors, cost = found.aux
+    return Solved(start + sigma * found.value, cost, distance, errors)
 
 
 @jax.jit

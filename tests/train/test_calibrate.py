@@ -12,7 +12,7 @@ from ebjax.io.write_sequence import write_sequence
 from ebjax.slam.world import matrices
 from ebjax.train.calibrate import Config, run
 
-OFF = Config(depth="none", pitch_off_deg=3.0, roll_off_deg=1.0, height_off_m=0.05, pairs=60)
+OFF = Config(depth="none", pitch_off_deg=3.0, roll_off_deg=1.0, height_off_m=0.05, pairs=48)
 
 
 CAMERA = camera_over_floor(308.0, 308.0, 157.0, 123.0, 320, 240, 0.54, np.radians(19.0), x_m=0.27)
