@@ -120,7 +120,9 @@ def test_config_is_read_by_the_command_it_names(path, tmp_path):
     words = header[0].split()
     module = words[words.index("-m") + 1]
     assert module == f"ebjax.{ROOM.get(path.parent.name, path.parent.name)}" and str(path.relative_to(ROOT)) in words
-    config_class = importlib.import_module(f"{module}.__main__").Config
+    command = importlib.import_module(f"{module}.__main__")
+    by_task = path.parent.name == "train"
+    config_class = command.command(command.task_of(["--config", str(path)])) if by_task else command.Config
     config = load_config(path, config_class)
     assert config != config_class(), "a config that changes nothing"
     dump_config(config, tmp_path / "again.yaml")
