@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 
 from ebjax.geometry.warp import rotate_pi, sample_bilinear
 from ebjax.models.layers import normalise
+from ebjax.models.rootsift import DIMENSION as SIFT
 from ebjax.places.descriptor_map import dense_at, rotate_pi_scales
 from ebjax.places.view import filled
 
@@ -19,6 +20,9 @@ ROOT_FLOOR = 1e-4
 """Smooths rootSIFT's root where a bin is empty; see `rootsift.root_normalise`."""
 BIN_M = (0.06, 0.12)
 """Side of a bin of rootSIFT at both scales, on the floor, as in `places.descriptor_map`."""
+
+
+DIMENSION = len(BIN_M) * SIFT
 
 
 def _bins_px(metres_per_px: float) -> tuple[float, ...]:

@@ -56,14 +56,15 @@ def grid(floor: FloorView, stride_m: float) -> Float[np.ndarray, "K 2"]:
 
 @partial(jax.jit, static_argnames="softness")
 def choose_points(parameters: Parameters, run: SoftRun, softness: Softness) -> Points:
-    """A grid of points on the floor, under the camera as it is mounted now; those count whose surroundings are seen."""
+    """Points of a grid on the floor, under the camera as it is mounted now; those count whose surroundings are seen."""
     floor = softness.floor
     homography = image_from_floor_view(parameters, run, floor)
     size = run.camera.height, run.camera.width
     seen = field_of_view(homography, floor.size, size, MARGIN_PX).astype(run.images.dtype)
     where = jnp.asarray(grid(floor, softness.stride_m), homography.dtype)
-    inside = support(seen, where.astype(seen.dtype), floor.metres_per_px) > MIN_SUPPORT
-    return Points(apply(homography, where), inside.astype(seen.dtype), seen)
+    share = support(seen, where.astype(seen.dtype), floor.metres_per_px)
+    share, best = jax.lax.top_k(share, min(softness.points, len(where)))
+    return Points(apply(homography, where[best]), (share > MIN_SUPPORT).astype(seen.dtype), seen)
 
 
 @partial(jax.jit, static_argnames=("softness", "gap_s", "gap_m", "candidates"))

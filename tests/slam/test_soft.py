@@ -76,7 +76,7 @@ class Small(nnx.Module):
 def test_one_gradient_from_the_ate_to_everything(run):
     run = replace(run, camera=remounted(run.camera, WRONG))
     graph, state = nnx.split(Small(nnx.Rngs(0)))
-    softness = Softness(FLOOR, network_look(graph), max_steps=300, rtol=1e-22)
+    softness = Softness(FLOOR, network_look(graph), stride_m=0.08, points=100, max_steps=300, rtol=1e-22)
     at = Parameters(NONE, words(12), jax.tree.map(lambda leaf: leaf.astype(jnp.float64), state))
     points = choose_points(at, run, softness)
     pairs = choose_pairs(at, run, points, softness, gap_s=3.0, gap_m=4.0)
