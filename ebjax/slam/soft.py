@@ -196,7 +196,7 @@ def correct(parameters: Parameters, run: SoftRun, points: Points, pairs: Pairs, 
         jnp.concatenate([chain.robust, jnp.ones(len(pairs.i), bool)]),
         chain.fixed,
     )
-    limits = {"rtol": softness.rtol, "max_steps": softness.max_steps}
+    limits: dict[str, typing.Any] = {"rtol": softness.rtol, "max_steps": softness.max_steps}
     solution = solve(graph, kernel=softness.kernel, width=softness.width, structure=pairs.structure, **limits)
     return Corrected(solution.poses, distance, weight, measured)
 

@@ -21,6 +21,7 @@ TASKS = {
     "floornet": "ebjax.train.floornet",
     "finetune": "ebjax.train.finetune",
     "throughput": "ebjax.train.throughput",
+    "end_to_end": "ebjax.train.end_to_end",
 }
 """Each is a module with a dataclass `Config` and `run(config, out, resume=)`. A new one is a file and a line here."""
 SHARED = {"floornet"}

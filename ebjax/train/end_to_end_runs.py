@@ -60,7 +60,7 @@ def _frames(config: CorridorConfig, file: Path) -> dict[str, np.ndarray]:
     """Times, truth, odometry, camera and grey images, from `file` or rendered into it."""
     if file.is_file():
         try:
-            with open(file, "rb") as opened, np.load(opened) as kept:
+            with open(file, "rb") as stored, np.load(stored) as kept:
                 if str(kept["world"]) == repr(config):
                     return {name: kept[name] for name in kept.files}
         except (OSError, ValueError, KeyError, zipfile.BadZipFile):
