@@ -7,8 +7,6 @@ brings on other runs. Retrieval is asked again before every step.
 
 import dataclasses
 import json
-import time
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,7 +17,6 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float
 
-from ebjax.command import progress
 from ebjax.floors.surface import FamilyName
 from ebjax.geometry.mounting import Mounting
 from ebjax.io.atomic import whole_file
@@ -28,7 +25,9 @@ from ebjax.slam.soft_look import DIMENSION, rootsift_look
 from ebjax.slam.soft_pairs import choose_pairs, choose_points
 from ebjax.slam.view import choose_floor
 from ebjax.train.end_to_end_runs import WorldConfig, corridor, load_run
+from ebjax.train.loop import SCORE, LoopConfig, Task, fit
 
+BEST = "parameters.npz"
 TUNED = {"homography": ("camera",), "aggregation": ("words", "threshold"), "both": ("camera", "words", "threshold")}
 
 
@@ -59,8 +58,7 @@ class Config:
     """... and, in the same direction, at least so much path earlier, m."""
     metres_per_px: float = 0.02
     """Of the floor view."""
-    steps: int = 30
-    """Optimisation steps."""
+    loop: LoopConfig = dataclasses.field(default_factory=lambda: LoopConfig(steps=30, validate_every=5))
     camera_rate: float = 0.006
     """Of Adam at first, rad and m; rates fall to nothing as a cosine."""
     words_rate: float = 0.01
@@ -87,7 +85,7 @@ def optimiser(config: Config, part: str) -> optax.GradientTransformation:
     """Adam, a rate for each kind of parameter, none for what is not tuned."""
     rates = {"camera": config.camera_rate, "words": config.words_rate, "threshold": config.threshold_rate}
     kinds: dict[Any, optax.GradientTransformation] = {
-        kind: optax.adam(optax.cosine_decay_schedule(rate, config.steps))
+        kind: optax.adam(optax.cosine_decay_schedule(rate, config.loop.steps))
         if kind in TUNED[part]
         else optax.set_to_zero()
         for kind, rate in rates.items()
@@ -115,24 +113,49 @@ def chosen(parameters: Parameters, run: SoftRun, softness: Softness, config: Con
     return points, choose_pairs(parameters, run, points, softness, candidates=config.candidates, **gaps)
 
 
-def make_step(
-    runs: list[SoftRun], softness: Softness, config: Config, part: str
-) -> tuple[Callable[[Parameters], Any], Callable[[Any, int], tuple[Any, dict[str, float]]]]:
-    """(parameters -> state) and (state, number) -> (state, metrics), one step down the mean ATE of the runs."""
+def tune(
+    part: str, start: Parameters, runs: list[SoftRun], softness: Softness, config: Config, out: Path, *, resume: bool
+) -> Parameters:
+    """The best parameters on the way down the mean ATE of the runs, only a part of them moving.
+
+    Args:
+      part: of `TUNED`.
+      start: where to begin.
+      runs: that tune.
+      softness: see there.
+      config: see there.
+      out: folder of the log, the checkpoints and the parameters.
+      resume: go on from the latest checkpoint there.
+
+    Raises:
+      ValueError, OSError: as `loop.fit`.
+    """
     adam = optimiser(config, part)
     update = jax.jit(adam.update)
+    first, shape = jax.tree.flatten((start, adam.init(start)))
 
-    def step(state: Any, number: int) -> tuple[Any, dict[str, float]]:
+    def step(leaves: list[Array], number: int) -> tuple[list[Array], dict[str, float]]:
         del number
-        parameters, memory = state
+        parameters, memory = jax.tree.unflatten(shape, leaves)
         found = [_descend(parameters, run, *chosen(parameters, run, softness, config), softness) for run in runs]
-        errors = [float(error) for error, _ in found]
-        mean = jax.tree.map(lambda *leaves: sum(leaves) / len(leaves), *(slope for _, slope in found))
+        mean = jax.tree.map(lambda *slopes: sum(slopes) / len(slopes), *(slope for _, slope in found))
         change, memory = update(mean, memory, parameters)
-        metrics = {"loss": float(np.mean(errors)), **_told(parameters)}
-        return (optax.apply_updates(parameters, change), memory), metrics
+        metrics = {"loss": float(np.mean([error for error, _ in found])), **_told(parameters)}
+        return jax.tree.leaves((optax.apply_updates(parameters, change), memory)), metrics
 
-    return lambda parameters: (parameters, adam.init(parameters)), step
+    def validate(leaves: list[Array]) -> dict[str, float]:
+        parameters, _ = jax.tree.unflatten(shape, leaves)
+        return {SCORE: -float(np.mean(errors_m(parameters, runs, softness, config)))}
+
+    def export(leaves: list[Array], metrics: dict[str, Any], folder: Path) -> None:
+        del metrics
+        with whole_file(folder / BEST, "wb") as file:
+            np.savez(file, *(np.asarray(leaf) for leaf in leaves))
+
+    settings = {**dataclasses.asdict(config), "part": part}
+    fit(Task(first, step, validate, export, settings), config.loop, out, resume=resume)
+    with open(out / BEST, "rb") as file, np.load(file) as kept:
+        return jax.tree.unflatten(shape, [jnp.asarray(kept[name]) for name in kept.files])[0]
 
 
 def _told(parameters: Parameters) -> dict[str, float]:
@@ -152,15 +175,15 @@ def errors_m(parameters: Parameters, runs: list[SoftRun], softness: Softness, co
 
 
 def run(config: Config, out: Path, *, resume: bool) -> None:
-    """Tunes, tests, prints the table and writes it: table.md, metrics.json; log.jsonl has a line for every step.
+    """Tunes, tests, prints the table and writes it: table.md, metrics.json, and a folder for each part's training.
 
     Args:
       config: see there.
       out: folder of the results and of the rendered runs.
-      resume: without effect but for the rendered runs, which are used again anyway: a part is tuned in minutes.
+      resume: go on with the parts that are begun.
 
     Raises:
-      ValueError: a world or a camera that cannot be; names the key.
+      ValueError: a world or a camera that cannot be, or another training in `out`; names the key.
       OSError: `out` cannot be written.
     """
     wrong = mounting(config.pitch_deg, config.roll_deg, config.height_m)
@@ -182,16 +205,9 @@ def run(config: Config, out: Path, *, resume: bool) -> None:
 
     odometry = {name: [float(ate_rmse_m(jnp.asarray(r.chain.poses), r.truth)) for r in rs] for name, rs in runs.items()}
     rows = {"odometry": {"ate_rmse_m": odometry}, "before": measured(start)}
-    log = []
     for part in TUNED:
-        init, step = make_step(runs["training"], softness, config, part)
-        state, began = init(start), time.perf_counter()
-        for number in progress(range(config.steps), label=part):
-            state, metrics = step(state, number)
-            log.append({"part": part, "step": number + 1, "seconds": round(time.perf_counter() - began, 2), **metrics})
-            with whole_file(out / "log.jsonl") as file:
-                file.write("".join(json.dumps(line) + "\n" for line in log))
-        rows[part] = measured(state[0])
+        print(f"tuning: {part}")
+        rows[part] = measured(tune(part, start, runs["training"], softness, config, out / part, resume=resume))
     rows["true camera, untuned aggregation"] = measured(right)
     lines = table(rows, config)
     with whole_file(out / "metrics.json") as file:

@@ -10,13 +10,14 @@ import pytest
 from ebjax.slam.soft import Parameters
 from ebjax.train.end_to_end import TUNED, Config, mounting, optimiser, run, untuned
 from ebjax.train.end_to_end_runs import WorldConfig, corridor, load_run
+from ebjax.train.loop import LoopConfig
 
 SMALL = WorldConfig(distance_m=2.0, step_m=0.4, turn_step_deg=60.0, width_px=160, texel_m=0.02)
 
 
 @pytest.mark.parametrize("part", TUNED)
 def test_only_what_is_tuned_moves(part):
-    config = Config(steps=5)
+    config = Config(loop=LoopConfig(steps=5))
     at = Parameters(mounting(0, 0, 0), untuned(4, 0))
     adam = optimiser(config, part)
     change, _ = adam.update(jax.tree.map(jnp.ones_like, at), adam.init(at), at)
@@ -28,19 +29,25 @@ def test_only_what_is_tuned_moves(part):
 
 def test_the_task_tunes_tests_and_writes(tmp_path, capsys):
     config = Config(
-        training=("terrazzo",), held_out=("terrazzo",), world=SMALL, clusters=4, steps=1, gap_s=2.0, candidates=1
+        training=("terrazzo",),
+        held_out=("terrazzo",),
+        world=SMALL,
+        clusters=4,
+        loop=LoopConfig(1, 1),
+        gap_s=2.0,
+        candidates=1,
     )
     run(config, tmp_path, resume=False)
     told = json.loads((tmp_path / "metrics.json").read_text(encoding="utf-8"))
     rows = told["rows"]
-    assert set(TUNED) < set(rows) and told["config"]["steps"] == 1
+    assert set(TUNED) < set(rows) and told["config"]["clusters"] == 4
     for row in rows.values():
         assert np.isfinite(row["ate_rmse_m"]["held out"]).all()
     assert rows["homography"]["parameters"]["pitch_deg"] != 0 == rows["aggregation"]["parameters"]["pitch_deg"]
     lines = (tmp_path / "table.md").read_text(encoding="utf-8").splitlines()
     assert sum(line.startswith("| ") for line in lines) == len(rows) + 1 and lines[-1] in capsys.readouterr().out
-    log = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text(encoding="utf-8").splitlines()]
-    assert [line["part"] for line in log] == list(TUNED) and all(np.isfinite(line["loss"]) for line in log)
+    log = (tmp_path / "both" / "log.jsonl").read_text(encoding="utf-8").splitlines()
+    assert [json.loads(line)["kind"] for line in log] == ["validation", "step", "validation"]
 
 
 def test_runs_are_kept_and_made_again_where_damaged(tmp_path):
