@@ -54,18 +54,21 @@ def _covariance(
     # Two points at least are needed for a heading; the ridge keeps fewer finite (and very uncertain).
     spread = jnp.linalg.inv(hessian + 1e-9 * jnp.eye(3, dtype=dtype))
     shared = jnp.diag(jnp.asarray(SHARED_SIGMA, dtype) ** 2)
-    return (variance + 1e-8) * spread + shared, jnp.sqrt(2 * variance)
+    # The root of 0 has no derivative, and a NaN of it would spread to all that is differentiated.
+    return (variance + 1e-8) * spread + shared, jnp.sqrt(jnp.maximum(2 * variance, 1e-24))
 
 
 def measure_floor(
-    points_i: Float[Array, "M 2"], points_j: Float[Array, "M 2"], inliers: Bool[Array, "M"]
+    points_i: Float[Array, "M 2"], points_j: Float[Array, "M 2"], inliers: Bool[Array, "M"] | Float[Array, "M"]
 ) -> LoopMeasurement:
     """The motion between two metric floor views: p_i = R p_j + t over the inliers, without any depth.
+
+    Differentiable in the points and in weights.
 
     Args:
       points_i: on the floor, in base_i, m.
       points_j: their partners, in base_j, m.
-      inliers: which rows count.
+      inliers: which rows count, or how much, 0 to 1.
     """
     weights = inliers.astype(points_i.dtype)
     rotation, translation = kabsch(points_j, points_i, weights)

@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 ORIENTATIONS = 8
 BINS = 4
 DIMENSION = BINS * BINS * ORIENTATIONS
+ROOT_FLOOR = 1e-12
 
 
 @typing.no_type_check
@@ -86,12 +87,15 @@ def pool_orientations(
     return OrientationMap(values, bin_px / 3, origin)
 
 
-def describe(pooled: OrientationMap, points: Float[Array, "N 2"]) -> tuple[Float[Array, "N 128"], Float[Array, "N"]]:
+def describe(
+    pooled: OrientationMap, points: Float[Array, "N 2"], root_floor: float = ROOT_FLOOR
+) -> tuple[Float[Array, "N 128"], Float[Array, "N"]]:
     """Upright rootSIFT at any points: L2, clip at 0.2, L1, square root; unit length.
 
     Args:
       pooled: from `pool_orientations`.
       points: (x, y), px of the image that was pooled.
+      root_floor: as in `root_normalise`.
 
     Returns:
       Descriptors, zero where nothing is seen, and the share of their support inside the field of view, in [0, 1].
@@ -118,16 +122,24 @@ def describe(pooled: OrientationMap, points: Float[Array, "N 2"]) -> tuple[Float
     window = gaussian[:, None] * gaussian[None, :]
     support = jnp.sum(bins[..., -1] * window[None], axis=(1, 2)) / jnp.sum(window)
     histogram = (bins[..., :-1] * window[None, :, :, None]).reshape(-1, DIMENSION)
-    return root_normalise(histogram), support
+    return root_normalise(histogram, root_floor), support
 
 
-def root_normalise(histogram: Float[Array, "*n D"]) -> Float[Array, "*n D"]:
-    """SIFT's normalisation and the Hellinger root: unit L2 length; all-zero rows stay zero."""
+def root_normalise(histogram: Float[Array, "*n D"], root_floor: float = ROOT_FLOOR) -> Float[Array, "*n D"]:
+    """SIFT's normalisation and the Hellinger root: unit L2 length; all-zero rows stay zero.
+
+    Args:
+      histogram: orientations, not negative.
+      root_floor: sqrt(share + floor) - sqrt(floor) is at most 1 / (2 sqrt(floor)) steep, at empty bins. The default
+        leaves the root as it is; who differentiates it wants 1e-4 or so (a bin's share is 1/128 on average), or empty
+        bins, which are many, drown all others.
+    """
     tiny = jnp.asarray(1e-12, histogram.dtype)
     unit = histogram / jnp.sqrt(jnp.sum(histogram**2, -1, keepdims=True) + tiny)
     clipped = jnp.minimum(unit, 0.2)
     share = clipped / (jnp.sum(clipped, -1, keepdims=True) + 1e-6)
-    return jnp.sqrt(share + tiny) - jnp.sqrt(tiny)
+    floor = jnp.asarray(root_floor, histogram.dtype)
+    return jnp.sqrt(share + floor) - jnp.sqrt(floor)
 
 
 def rotate_pi_descriptor(descriptors: Float[Array, "*n 128"]) -> Float[Array, "*n 128"]:

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ebjax.models.rootsift import DIMENSION, describe, pool_orientations, rotate_pi_descriptor
+from ebjax.models.rootsift import DIMENSION, ROOT_FLOOR, describe, pool_orientations, rotate_pi_descriptor
 
 STRIDE_PX = 8
 BIN_PX = (6.0, 12.0)
@@ -47,15 +47,40 @@ def dense(grey: Float[Array, "H W"], seen: Float[Array, "H W"]) -> tuple[Float[A
     """Upright rootSIFT at both scales in every cell, and the least share of its support inside the field of view."""
     points = grid((grey.shape[0], grey.shape[1]))
     shape, flat = points.shape[:2], jnp.asarray(points.reshape(-1, 2), grey.dtype)
-    described = [describe(pool_orientations(grey, seen, bin_px), flat) for bin_px in BIN_PX]
+    values, support = dense_at(grey, seen, flat)
+    return values.reshape(*shape, -1), support.reshape(shape)
+
+
+def dense_at(
+    grey: Float[Array, "H W"],
+    seen: Float[Array, "H W"],
+    points: Float[Array, "N 2"],
+    bins_px: tuple[float, ...] = BIN_PX,
+    root_floor: float = ROOT_FLOOR,
+) -> tuple[Float[Array, "N D0"], Float[Array, "N"]]:
+    """As `dense`, at any points (x, y) px; differentiable in the image and in the points.
+
+    Args:
+      grey: in [0, 1].
+      seen: 1 where the view shows the floor.
+      points: px.
+      bins_px: side of a spatial bin at every scale, px.
+      root_floor: as in `rootsift.root_normalise`.
+    """
+    described = [describe(pool_orientations(grey, seen, bin_px), points, root_floor) for bin_px in bins_px]
     support = jnp.min(jnp.stack([share for _, share in described]), axis=0)
-    return jnp.concatenate([d for d, _ in described], -1).reshape(*shape, -1), support.reshape(shape)
+    return jnp.concatenate([values for values, _ in described], -1), support
 
 
 def rotate_pi_dense(values: Float[Array, "*n h w D0"]) -> Float[Array, "*n h w D0"]:
     """The dense map of the view turned by pi, exactly: cells reversed, every descriptor turned."""
+    return rotate_pi_scales(values)[..., ::-1, ::-1, :]
+
+
+def rotate_pi_scales(values: Float[Array, "*n D0"]) -> Float[Array, "*n D0"]:
+    """The descriptors of the same points, at all scales, in the view turned by pi."""
     scales = values.reshape(*values.shape[:-1], -1, DIMENSION)
-    return rotate_pi_descriptor(scales).reshape(values.shape)[..., ::-1, ::-1, :]
+    return rotate_pi_descriptor(scales).reshape(values.shape)
 
 
 def _halves(values: Float[Array, "*n D0"]) -> Float[Array, "2 *n D1"]:

@@ -13,7 +13,7 @@ def luma(view: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
     return view @ jnp.asarray(LUMA, view.dtype)
 
 
-def filled(view: Float[Array, "H W 3"], seen: Float[Array, "H W"]) -> Float[Array, "H W 3"]:
+def filled(view: Float[Array, "H W C"], seen: Float[Array, "H W"]) -> Float[Array, "H W C"]:
     """The view with its mean colour where nothing is seen: a black border would be the strongest edge in it."""
     weight = seen[..., None]
     mean = (view * weight).sum((0, 1), keepdims=True) / jnp.maximum(weight.sum(), 1)

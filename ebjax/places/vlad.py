@@ -38,9 +38,27 @@ def vlad(
       centres: the vocabulary.
       alpha: inverse temperature of the soft assignment exp(-alpha |x - c|^2).
     """
-    logits = alpha * (2 * values @ centres.T - jnp.sum(centres**2, 1)[None, :])
-    assignment = jax.nn.softmax(logits, -1) * mask[:, None]
-    residual = assignment.T @ values - assignment.sum(0)[:, None] * centres
+    return netvlad(values, mask, centres, 2 * alpha * centres.T, -alpha * jnp.sum(centres**2, 1))
+
+
+def netvlad(
+    values: Float[Array, "P D"],
+    mask: Float[Array, "P"],
+    centres: Float[Array, "K D"],
+    assignment: Float[Array, "D K"],
+    bias: Float[Array, "K"],
+) -> Float[Array, "KD"]:
+    """`vlad` with a soft assignment of its own, a(x) = softmax(x assignment + bias) (NetVLAD, eq. 3 and 4).
+
+    Args:
+      values: the descriptors of one view.
+      mask: which of them count, 1 or 0.
+      centres: what residuals are taken from.
+      assignment: w_k, one a column.
+      bias: b_k.
+    """
+    share = jax.nn.softmax(values @ assignment + bias[None, :], -1) * mask[:, None]
+    residual = share.T @ values - share.sum(0)[:, None] * centres
     tiny = jnp.asarray(1e-12, values.dtype)
     residual = residual / jnp.sqrt(jnp.sum(residual**2, 1, keepdims=True) + tiny)
     flat = residual.reshape(-1)

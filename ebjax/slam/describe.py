@@ -7,6 +7,7 @@ from functools import partial
 
 import jax
 import jax.numpy as jnp
+from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, UInt8
 
 from ebjax.features.extractor import Extractor
@@ -67,18 +68,18 @@ def clear_floor(depth_m: Float[Array, "H W"], view: RunView, camera: Camera) -> 
     return view.seen & ~standing.reshape(height, width)
 
 
-def view_taps(view: RunView, camera: Camera) -> Taps:
-    """The samples of the supersampled view in the image, once for the run."""
+def view_taps(view: RunView, camera: Camera, dtype: DTypeLike = jnp.float32) -> Taps:
+    """The samples of the supersampled view in the image, once for the run; differentiable in the view."""
     height, width = view.size
     fine = (SUPERSAMPLE * height, SUPERSAMPLE * width)
     offset = (1 - SUPERSAMPLE) / (2 * SUPERSAMPLE)
     view_from_fine = jnp.array([[1 / SUPERSAMPLE, 0, offset], [0, 1 / SUPERSAMPLE, offset], [0, 0, 1]])
     image_from_fine = view.image_from_view @ view_from_fine.astype(view.image_from_view.dtype)
-    found = taps(image_from_fine.astype(jnp.float32), fine, (camera.height, camera.width))
-    return Taps(found.indices, found.weights.astype(jnp.float32))
+    found = taps(image_from_fine.astype(dtype), fine, (camera.height, camera.width))
+    return Taps(found.indices, found.weights.astype(dtype))
 
 
-def floor_view(rgb: UInt8[Array, "H W 3"], samples: Taps) -> Float[Array, "h w 3"]:
+def floor_view(rgb: UInt8[Array, "H W C"] | Float[Array, "H W C"], samples: Taps) -> Float[Array, "h w C"]:
     """The floor from above, in [0, 1], averaged down from the supersampled warp."""
     # Without the barrier XLA gathers anew for every slice; a mean over reshaped axes is as slow.
     fine = jax.lax.optimization_barrier(gather(rgb, samples))

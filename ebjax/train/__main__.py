@@ -22,6 +22,7 @@ TASKS = {
     "finetune": "ebjax.train.finetune",
     "throughput": "ebjax.train.throughput",
     "calibrate": "ebjax.train.calibrate",
+    "end_to_end": "ebjax.train.end_to_end",
 }
 """Each is a module with a dataclass `Config` and `run(config, out, resume=)`. A new one is a file and a line here."""
 SHARED = {"floornet"}

@@ -4,9 +4,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from flax import nnx
 from scipy.cluster.vq import kmeans2
 
-from ebjax.places.vlad import kmeans
+from ebjax.models.layers import normalise
+from ebjax.models.netvlad import Aggregation
+from ebjax.places.vlad import kmeans, netvlad
 from ebjax.places.vlad import vlad as eager_vlad
 
 vlad = jax.jit(eager_vlad, static_argnums=3)
@@ -78,3 +81,12 @@ def test_kmeans_finds_separate_clusters_and_survives_too_few_points():
     np.testing.assert_allclose(np.asarray(best)[np.lexsort(np.asarray(best).round().T)], corners, atol=0.1)
     assert best.dtype == jnp.float32
     assert np.isfinite(kmeans(points[:2], clusters=4, key=jax.random.key(0))).all()
+
+
+def test_an_assignment_of_its_own_is_the_published_layer():
+    layer = Aggregation(4, 5, convention="nanne", bias=True, rngs=nnx.Rngs(0))
+    values = normalise(jnp.asarray(VALUES))
+    names = ("centroids", "assignment", "bias")
+    arrays = (jnp.asarray(getattr(layer, name)[...], jnp.float64) for name in names)
+    ours = netvlad(values, jnp.ones(len(VALUES)), *arrays)
+    np.testing.assert_allclose(ours, layer(values[None, None])[0], atol=1e-5)

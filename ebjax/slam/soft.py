@@ -1,0 +1,209 @@
+"""The whole pipeline as one differentiable function of the camera's mounting, the vocabulary and a network's weights.
+
+    floor view -> descriptors -> NetVLAD, as it is and turned by pi -> d_ij = 1 - cosine -> sigmoid((tau - d_ij) / T)
+               -> dual-softmax matches -> Kabsch on metric floor points -> i_from_j
+    odometry + i_from_j, its square-root information times that weight -> pose graph -> trajectory -> ATE
+
+Exact derivatives throughout, of the pose graph by its implicit adjoint. What is discrete is settled before, in `Pairs`:
+which views are compared, and which points of the image are described. Those points stay where they are in the image
+when the camera is moved; where they lie on the floor follows from it.
+"""
+
+import dataclasses
+import typing
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from ebjax.features.measure import LoopMeasurement
+from ebjax.features.soft_match import dual_softmax, soft_measure
+from ebjax.geometry.camera import Camera, FloorView, image_from_view
+from ebjax.geometry.homography import adjugate, apply
+from ebjax.geometry.mounting import Mounting, remounted
+from ebjax.geometry.rigid import kabsch
+from ebjax.places.vlad import centred, netvlad
+from ebjax.posegraph.graph import PoseGraph
+from ebjax.posegraph.linear import Structure
+from ebjax.posegraph.lm import solve
+from ebjax.slam.describe import floor_view, view_taps
+from ebjax.slam.soft_look import Look
+from ebjax.slam.view import RunView
+
+
+@typing.no_type_check
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Words:
+    """NetVLAD's centres, soft assignment and its bias, and tau, the distance at which a loop is believed by half."""
+
+    centres: Float[Array, "K D"]
+    assignment: Float[Array, "D K"]
+    bias: Float[Array, "K"]
+    threshold: Float[Array, ""]
+
+
+@typing.no_type_check
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Parameters:
+    """All that can be tuned; `backbone` are the weights of the look, None for rootSIFT."""
+
+    mounting: Mounting
+    words: Words
+    backbone: Any = None
+
+
+@typing.no_type_check
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class SoftRun:
+    """A run's frames: grey images in [0, 1], times (s), odometry as a chain (m, rad), the camera as it is believed.
+
+    `truth` are the true positions, m, in any frame.
+    """
+
+    images: Float[Array, "N H W 1"]
+    times_s: Float[Array, "N"]
+    chain: PoseGraph
+    camera: Camera
+    truth: Float[Array, "N 2"]
+
+
+@typing.no_type_check
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Points:
+    """The image points that are described (px), which of them count, and which pixels of the floor view are seen."""
+
+    keypoints: Float[Array, "K 2"]
+    mask: Float[Array, "K"]
+    seen: Float[Array, "h w"]
+
+
+@typing.no_type_check
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Pairs:
+    """Views that are compared: i, an earlier j, whether they face each other; and the pose graph's structure."""
+
+    i: Int[Array, "P"]
+    j: Int[Array, "P"]
+    opposing: Bool[Array, "P"]
+    structure: Structure
+
+
+@dataclasses.dataclass(frozen=True)
+class Softness:
+    """What is not tuned: the floor that is looked at, the look, and how hard its choices are."""
+
+    floor: FloorView
+    look: Look
+    stride_m: float = 0.055
+    """Between the points that are described, on the floor, m. Matches lock onto the grid: 0.08 measures loops of
+    rendered runs to 4 cm, 0.055 to 1 cm."""
+    points: int = 320
+    """How many are described at most, those whose surroundings are seen best."""
+    loop_temperature: float = 0.05
+    """T of the loop weight."""
+    match_temperature: float = 0.05
+    """T of the dual softmax."""
+    kernel: str = "cauchy"
+    """Robust kernel of the loops."""
+    width: float = 1.0
+    """Of the kernel, in standard deviations of a loop as measured."""
+    exact: bool = True
+    """Whether derivatives follow the camera into what the points look like, or only to where they lie on the floor.
+    The whole derivative is exact and useless to descend: on a rendered run it changes its sign within 0.05 degrees,
+    around that of the geometry, which hardly changes."""
+    max_steps: int = 100
+    rtol: float = 1e-20
+
+
+class Corrected(typing.NamedTuple):
+    """The corrected poses world_from_base, and what each pair contributed."""
+
+    poses: Float[Array, "N 3"]
+    distance: Float[Array, "P"]
+    weight: Float[Array, "P"]
+    measured: LoopMeasurement
+
+
+def image_from_floor_view(parameters: Parameters, run: SoftRun, floor: FloorView) -> Float[Array, "3 3"]:
+    """View pixel -> image pixel under the camera as it is mounted."""
+    return image_from_view(remounted(run.camera, parameters.mounting), floor)
+
+
+def describe(
+    parameters: Parameters, run: SoftRun, points: Points, softness: Softness
+) -> tuple[Float[Array, "N 2 K D"], Float[Array, "K 2"]]:
+    """Descriptors of the points in every view, as it is ([:, 0]) and turned by pi; where on the floor they lie, m."""
+    floor, dtype = softness.floor, run.images.dtype
+    homography = image_from_floor_view(parameters, run, floor)
+    where = apply(adjugate(homography), points.keypoints)
+    looked, at = (homography, where) if softness.exact else jax.lax.stop_gradient((homography, where))
+    view = RunView(looked, jnp.asarray(floor.floor_from_view, homography.dtype), points.seen > 0)
+    samples = view_taps(view, run.camera, dtype)
+
+    @jax.checkpoint
+    def one(image):
+        return softness.look(parameters.backbone, floor_view(image, samples), points.seen, at.astype(dtype))
+
+    return jax.lax.map(one, run.images), apply(view.floor_from_view, where)
+
+
+def global_vectors(
+    words: Words, descriptors: Float[Array, "N 2 K D"], mask: Float[Array, "K"]
+) -> Float[Array, "N V 2"]:
+    """NetVLAD of every view as it is ([..., 0]) and turned by pi ([..., 1]), without the mean over the run."""
+
+    def one(both):
+        sides = [netvlad(side, mask, words.centres, words.assignment, words.bias) for side in both]
+        return jnp.stack(sides, -1)
+
+    return centred(jax.lax.map(one, descriptors))
+
+
+@partial(jax.jit, static_argnames="softness")
+def correct(parameters: Parameters, run: SoftRun, points: Points, pairs: Pairs, softness: Softness) -> Corrected:
+    """The corrected trajectory; differentiable in `parameters`, once, forward or backward."""
+    descriptors, floor_points = describe(parameters, run, points, softness)
+    vectors = global_vectors(parameters.words, descriptors, points.mask)
+    way = pairs.opposing.astype(jnp.int32)
+    theirs = jnp.take_along_axis(vectors[pairs.j], way[:, None, None], 2)[..., 0]
+    distance = 1 - jnp.sum(vectors[pairs.i, :, 0] * theirs, 1)
+    weight = jax.nn.sigmoid((parameters.words.threshold - distance) / softness.loop_temperature)
+
+    @jax.checkpoint
+    def measure(pair):
+        i, j, way = pair
+        matches = dual_softmax(
+            descriptors[i, 0], descriptors[j, way], points.mask, points.mask, softness.match_temperature
+        )
+        return soft_measure(floor_points, floor_points, matches)
+
+    measured = jax.lax.map(measure, (pairs.i, pairs.j, way))
+    chain = run.chain
+    information = jnp.linalg.inv(measured.covariance) * (weight.astype(floor_points.dtype) ** 2)[:, None, None]
+    graph = PoseGraph(
+        chain.poses,
+        jnp.concatenate([chain.i, pairs.i]),
+        jnp.concatenate([chain.j, pairs.j]),
+        jnp.concatenate([chain.measured, measured.i_from_j]),
+        jnp.concatenate([chain.information, information]),
+        jnp.concatenate([chain.robust, jnp.ones(len(pairs.i), bool)]),
+        chain.fixed,
+    )
+    limits: dict[str, typing.Any] = {"rtol": softness.rtol, "max_steps": softness.max_steps}
+    solution = solve(graph, kernel=softness.kernel, width=softness.width, structure=pairs.structure, **limits)
+    return Corrected(solution.poses, distance, weight, measured)
+
+
+def ate_rmse_m(poses: Float[Array, "N 3"], truth: Float[Array, "N 2"]) -> Float[Array, ""]:
+    """ATE rmse of positions after SE(2) alignment by least squares (in closed form), m."""
+    estimate = poses[:, :2]
+    rotation, translation = kabsch(estimate, truth, jnp.ones(len(truth), truth.dtype))
+    errors = truth - (estimate @ rotation.T + translation[None, :])
+    return jnp.sqrt(jnp.mean(jnp.sum(errors**2, 1)))

@@ -1,0 +1,106 @@
+"""The runs of the task `end_to_end`: corridors driven out and back, seen by a camera that is not where it is believed.
+
+Rendered once into a folder; what is there is used again as long as the world is the same.
+"""
+
+import dataclasses
+import zipfile
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ebjax.command import progress
+from ebjax.floors.cameras import CameraConfig
+from ebjax.floors.robot import RobotConfig
+from ebjax.floors.sequence import CorridorConfig, record
+from ebjax.floors.surface import FamilyName, FloorConfig
+from ebjax.geometry.camera import Camera
+from ebjax.geometry.mounting import Mounting, remounted
+from ebjax.io.atomic import whole_file
+from ebjax.places.view import luma
+from ebjax.slam.select import Odometry
+from ebjax.slam.soft import SoftRun
+from ebjax.slam.soft_pairs import chain_of
+from ebjax.slam.world import planar
+
+
+@dataclasses.dataclass(frozen=True)
+class WorldConfig:
+    """What all runs have in common."""
+
+    distance_m: float = 8.0
+    """Length of the corridor, m."""
+    step_m: float = 0.25
+    """Between two frames, m."""
+    turn_step_deg: float = 30.0
+    """Between two frames of the turn, degrees."""
+    drift: float = 2.0
+    """Factor of the odometry's errors (`floors.robot`, drifting)."""
+    width_px: int = 320
+    """Width of the images, px."""
+    texel_m: float = 0.005
+    """Of the floor's picture, m."""
+
+
+def corridor(world: WorldConfig, family: FamilyName, seed: int) -> CorridorConfig:
+    """The world of one run."""
+    return CorridorConfig(
+        seed=seed,
+        floor=FloorConfig(family=family, texel_m=world.texel_m),
+        robot=RobotConfig(
+            distance_m=world.distance_m, step_m=world.step_m, turn_step_deg=world.turn_step_deg, drift=world.drift
+        ),
+        camera=CameraConfig(width=world.width_px),
+    )
+
+
+def _frames(config: CorridorConfig, file: Path) -> dict[str, np.ndarray]:
+    """Times, truth, odometry, camera and grey images, from `file` or rendered into it."""
+    if file.is_file():
+        try:
+            with open(file, "rb") as stored, np.load(stored) as kept:
+                if str(kept["world"]) == repr(config):
+                    return {name: kept[name] for name in kept.files}
+        except (OSError, ValueError, KeyError, zipfile.BadZipFile):
+            pass  # damaged: rendered anew
+    recorded = record(config)
+    frames = [recorded.frame(k)[0] for k in progress(range(len(recorded)), label=f"rendering {config.floor.family}")]
+    grey = np.asarray(jnp.round(jax.vmap(luma)(jnp.asarray(np.stack(frames), jnp.float32)))).astype(np.uint8)
+    found = {
+        "world": np.asarray(repr(config)),
+        "images": grey,
+        "times_s": recorded.timestamps - recorded.timestamps[0],
+        "world_from_base": planar(recorded.world_from_base),
+        "odom_from_base": planar(recorded.odom_from_base),
+        "intrinsics": np.asarray(recorded.camera.intrinsics, np.float64),
+        "base_from_camera": np.asarray(recorded.camera.base_from_camera, np.float64),
+    }
+    with whole_file(file, "wb") as opened:
+        np.savez(opened, **found)  # type: ignore[arg-type]
+    return found
+
+
+def load_run(config: CorridorConfig, wrong: Mounting, folder: Path) -> SoftRun:
+    """A run whose camera is believed to be off by `wrong`.
+
+    Args:
+      config: from `corridor`.
+      wrong: what is added to the true camera.
+      folder: where rendered runs are kept.
+
+    Raises:
+      ValueError: a world that cannot be; names the key.
+      OSError: the folder cannot be written.
+    """
+    found = _frames(config, folder / f"{config.floor.family}_{config.seed}.npz")
+    height, width = found["images"].shape[1:]
+    true = Camera(jnp.asarray(found["intrinsics"]), jnp.asarray(found["base_from_camera"]), width, height)
+    return SoftRun(
+        jnp.asarray(found["images"][..., None], jnp.float32) / 255,
+        jnp.asarray(found["times_s"]),
+        chain_of(found["odom_from_base"], Odometry()),
+        remounted(true, wrong),
+        jnp.asarray(found["world_from_base"][:, :2]),
+    )

@@ -1,0 +1,64 @@
+"""The end-to-end task in the small: what a part's optimiser moves, runs kept in a folder, the whole task."""
+
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from ebjax.slam.soft import Parameters
+from ebjax.train.end_to_end import TUNED, Config, mounting, optimiser, run, untuned
+from ebjax.train.end_to_end_runs import WorldConfig, corridor, load_run
+from ebjax.train.loop import LoopConfig
+
+SMALL = WorldConfig(distance_m=2.0, step_m=0.4, turn_step_deg=60.0, width_px=160, texel_m=0.02)
+
+
+@pytest.mark.parametrize("part", TUNED)
+def test_only_what_is_tuned_moves(part):
+    config = Config(loop=LoopConfig(steps=5))
+    at = Parameters(mounting(0, 0, 0), untuned(4, 0))
+    adam = optimiser(config, part)
+    change, _ = adam.update(jax.tree.map(jnp.ones_like, at), adam.init(at), at)
+    leaves = {"camera": change.mounting.height_m, "words": change.words.centres, "threshold": change.words.threshold}
+    rates = {"camera": config.camera_rate, "words": config.words_rate, "threshold": config.threshold_rate}
+    for name, leaf in leaves.items():
+        np.testing.assert_allclose(leaf, -rates[name] if name in TUNED[part] else 0, rtol=1e-4)
+
+
+def test_the_task_tunes_tests_and_writes(tmp_path, capsys):
+    config = Config(
+        training=("terrazzo",),
+        held_out=("terrazzo",),
+        world=SMALL,
+        clusters=4,
+        loop=LoopConfig(1, 1),
+        gap_s=2.0,
+        candidates=1,
+    )
+    run(config, tmp_path, resume=False)
+    told = json.loads((tmp_path / "metrics.json").read_text(encoding="utf-8"))
+    rows = told["rows"]
+    assert set(TUNED) < set(rows) and told["config"]["clusters"] == 4
+    for row in rows.values():
+        assert np.isfinite(row["ate_rmse_m"]["held out"]).all()
+    assert rows["homography"]["parameters"]["pitch_deg"] != 0 == rows["aggregation"]["parameters"]["pitch_deg"]
+    lines = (tmp_path / "table.md").read_text(encoding="utf-8").splitlines()
+    assert sum(line.startswith("| ") for line in lines) == len(rows) + 1 and lines[-1] in capsys.readouterr().out
+    log = (tmp_path / "both" / "log.jsonl").read_text(encoding="utf-8").splitlines()
+    assert [json.loads(line)["kind"] for line in log] == ["validation", "step", "validation"]
+
+
+def test_runs_are_kept_and_made_again_where_damaged(tmp_path):
+    world = corridor(SMALL, "terrazzo", 1)
+    once = load_run(world, mounting(0, 0, 0), tmp_path)
+    file = tmp_path / "terrazzo_1.npz"
+    before = file.stat().st_mtime_ns
+    off = load_run(world, mounting(3, 1, 0.05), tmp_path)
+    assert file.stat().st_mtime_ns == before
+    assert float(off.camera.base_from_camera[2, 3] - once.camera.base_from_camera[2, 3]) == pytest.approx(0.05)
+    file.write_bytes(file.read_bytes()[:1000])
+    again = load_run(world, mounting(0, 0, 0), tmp_path)
+    np.testing.assert_array_equal(once.images, again.images)
+    assert once.images.shape[1:] == (120, 160, 1) and 0.1 < float(once.images.mean()) < 0.9
