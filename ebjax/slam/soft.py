@@ -22,7 +22,7 @@ from ebjax.features.measure import LoopMeasurement
 from ebjax.features.soft_match import dual_softmax, soft_measure
 from ebjax.geometry.camera import Camera, FloorView, image_from_view
 from ebjax.geometry.homography import adjugate, apply
-from ebjax.geometry.mounting import Mounting, remounted
+from ebjax.geometry.mount import Mounting, remounted
 from ebjax.geometry.rigid import kabsch
 from ebjax.places.vlad import centred, netvlad
 from ebjax.posegraph.graph import PoseGraph

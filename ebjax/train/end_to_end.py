@@ -18,7 +18,7 @@ import optax
 from jaxtyping import Array, Float
 
 from ebjax.floors.surface import FamilyName
-from ebjax.geometry.mounting import Mounting
+from ebjax.geometry.mount import Mounting
 from ebjax.io.atomic import whole_file
 from ebjax.slam.soft import Pairs, Parameters, Points, Softness, SoftRun, Words, ate_rmse_m, correct
 from ebjax.slam.soft_look import DIMENSION, rootsift_look

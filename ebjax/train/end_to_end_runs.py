@@ -17,7 +17,7 @@ from ebjax.floors.robot import RobotConfig
 from ebjax.floors.sequence import CorridorConfig, record
 from ebjax.floors.surface import FamilyName, FloorConfig
 from ebjax.geometry.camera import Camera
-from ebjax.geometry.mounting import Mounting, remounted
+from ebjax.geometry.mount import Mounting, remounted
 from ebjax.io.atomic import whole_file
 from ebjax.places.view import luma
 from ebjax.slam.select import Odometry

@@ -3,8 +3,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from ebjax.geometry.camera import camera_over_floor
-from ebjax.geometry.mount import base_from_mounted_camera, mount_of
+from ebjax.geometry.camera import camera_over_floor, image_from_floor
+from ebjax.geometry.mount import Mounting, base_from_mounted_camera, mount_of, remounted
 from ebjax.slam.world import matrices
 
 MOUNTS = np.array([[0.3, 0.0, 0.0, 0.5, 0.2, 0.0], [0.4, -0.1, 0.2, 1.1, -0.3, 0.1], [-0.2, 0.3, -2.5, 0.8, 0.0, 0.4]])
@@ -28,3 +28,25 @@ def test_is_the_camera_over_the_floor_turned_left_and_moved(mount):
 def test_derivative_is_finite_looking_straight_down():
     down = jnp.array([np.pi / 2, 0.0, 0.0, 1.0, 0.0, 0.0])
     assert np.isfinite(np.asarray(jax.jacfwd(base_from_mounted_camera)(down))).all()
+
+
+def test_corrections_add_up():
+    pitch, roll, height = 0.3, 0.05, 0.6
+    numbers = (300.0, 310.0, 150.0, 110.0, 320, 240)
+    camera = camera_over_floor(*numbers, height, pitch, roll, 0.2)
+    found = remounted(camera, Mounting(*map(jnp.asarray, (0.07, -0.02, 0.05))))
+    expected = camera_over_floor(*numbers, height + 0.05, pitch + 0.07, roll - 0.02, 0.2)
+    np.testing.assert_allclose(found.base_from_camera, expected.base_from_camera, atol=1e-12)
+
+
+def test_derivatives_in_the_corrections():
+    camera = camera_over_floor(300.0, 300.0, 150.0, 110.0, 320, 240, 0.6, 0.3)
+
+    def value(pitch, roll, height):
+        return jnp.sum(jnp.sin(image_from_floor(remounted(camera, Mounting(pitch, roll, height))) / 100))
+
+    at = tuple(map(jnp.asarray, (0.02, 0.01, 0.03)))
+    for k, slope in enumerate(jax.grad(value, argnums=(0, 1, 2))(*at)):
+        step = 1e-6 * np.eye(3)[k]
+        numeric = (value(*(a + s for a, s in zip(at, step))) - value(*(a - s for a, s in zip(at, step)))) / 2e-6  # noqa: B905
+        assert float(slope) == pytest.approx(float(numeric), rel=1e-7)

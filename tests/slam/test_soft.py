@@ -13,7 +13,7 @@ from flax import nnx
 from ebjax.evaluation.trajectory import ate
 from ebjax.geometry.camera import FloorView, camera_over_floor, image_from_floor, image_from_view
 from ebjax.geometry.homography import adjugate, apply
-from ebjax.geometry.mounting import Mounting, remounted
+from ebjax.geometry.mount import Mounting, remounted
 from ebjax.geometry.warp import warp
 from ebjax.models.layers import Conv
 from ebjax.slam.select import Odometry
