@@ -112,8 +112,8 @@ class Softness:
     """T of the dual softmax."""
     kernel: str = "cauchy"
     """Robust kernel of the loops."""
-    width: float = 1.0
-    """Of the kernel, in standard deviations of a loop as measured."""
+    width: float = 3.0
+    """Of the kernel, in standard deviations of a loop as measured: matches on a grid err by two to three of them."""
     exact: bool = True
     """Whether derivatives follow the camera into what the points look like, or only to where they lie on the floor.
     The whole derivative is exact and useless to descend: on a rendered run it changes its sign within 0.05 degrees,

@@ -59,11 +59,11 @@ class Config:
     metres_per_px: float = 0.02
     """Of the floor view."""
     loop: LoopConfig = dataclasses.field(default_factory=lambda: LoopConfig(steps=30, validate_every=5))
-    camera_rate: float = 0.006
+    camera_rate: float = 0.01
     """Of Adam at first, rad and m; rates fall to nothing as a cosine."""
     words_rate: float = 0.01
     """... for centres, assignment and bias."""
-    threshold_rate: float = 0.03
+    threshold_rate: float = 0.05
     """... for the distance at which a loop is believed by half."""
 
 
