@@ -45,8 +45,8 @@ class Config:
     """camera.json: makes the floor view metric."""
     quad: tuple[float, float, float, float, float, float, float, float] | None = None
     """Four points of the floor, x y px each: far left, far right, near right, near left."""
-    extractor: Literal["rootsift", "floornet", "sift", "orb", "surf", "superpoint", "d2net", "alike", "all"] = (
-        "rootsift"
+    extractor: Literal["floornet", "rootsift", "sift", "orb", "surf", "superpoint", "d2net", "alike", "all"] = (
+        "floornet"
     )
     """Local feature; all compares those that can be used here and keeps what most matches agree on."""
     weights: Path | None = None

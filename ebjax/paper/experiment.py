@@ -192,7 +192,7 @@ class Experiment:
             caption = "Figure 4: the same floor on the way out and on the way back; raw, from above, and turned by pi."
             picture(caption, "figure4_floor_views.png", sets, lambda: figures.floor_views(map(self.run, names), names))
         for name in names:
-            caption = f"Figure 5: correspondences in {name}, rootsift on floor views, the second turned by pi."
+            caption = f"Figure 5: correspondences in {name}, floornet on floor views, the second turned by pi."
             picture(caption, f"figure5_matches_{name}.png", every[name], partial(self._matches, name))
         for name in plans:
             settings = every[name] | {"pipeline": repr(self.pipeline)}
@@ -219,7 +219,7 @@ class Experiment:
         pairs = cut_pairs(self.run(name), name, 1)
         if not pairs:
             raise ValueError(f"{self.path(name)}: no two frames face each other over the same floor")
-        return figures.matches(pairs[0], extractor("rootsift"))
+        return figures.matches(pairs[0], extractor("floornet"))
 
 
 def _pair_means(which: str, weights: Path | None, pairs: list[Pair], seed: int) -> dict[str, dict[str, Any]]:

@@ -20,7 +20,7 @@ from ebjax.viz import figures as viz
 
 COLUMNS = ("way out", "way back", "floor, way out", "floor, way back", "turned by pi")
 VIEW_MARGIN = 0.5
-DEFAULT = "rootsift-vlad, correlation"
+DEFAULT = "floornet, correlation"
 
 
 def _from_above(image: np.ndarray, run: Run) -> np.ndarray:

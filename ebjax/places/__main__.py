@@ -57,16 +57,16 @@ class PlacesConfig:
     """Of the floor view of --camera, m."""
     opposing: Literal["both", "only", "none"] = "both"
     """Look for places seen from the same and the opposite side, from the opposite side only, or from the same only."""
-    descriptor: str = "rootsift-vlad"
-    """Global descriptor: rootsift-vlad, hog, joint (floor and whole image), or of a network netvlad, superpoint,
-    resnet50 or vgg19 (flattened map), resnet50-pooled, vgg19-pooled."""
+    descriptor: str = "floornet"
+    """Global descriptor: floornet, rootsift-vlad, hog, joint (floor and whole image), or of a network whose weights are
+    not ours netvlad, superpoint, resnet50 or vgg19 (flattened map), resnet50-pooled, vgg19-pooled."""
     weights: Path | None = None
     """Of a network: its .safetensors file, or a folder of them; None: $EBJAX_WEIGHTS or ~/.cache/ebjax/weights."""
     arithmetic: Arithmetic = "exact"
     """Of a network: float32 convolutions, the same by Winograd's algorithm (equal to rounding), or in part bfloat16."""
     ranking: Literal["auto", "correlation", "cosine"] = "auto"
-    """The paper's cosine of global descriptors, or shift-maximised correlation of maps (rootsift-vlad only, and its
-    default)."""
+    """The paper's cosine of global descriptors, or shift-maximised correlation of maps (the default of floornet and
+    rootsift-vlad; the others have none)."""
     top: int = 20
     """Candidates written for each query."""
     truth: Path | None = None

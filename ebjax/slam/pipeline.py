@@ -42,14 +42,15 @@ CONTRADICTED = "contradicts the corrected path"
 class PipelineConfig:
     """How loops are searched, verified and used."""
 
-    descriptor: str = "rootsift-vlad"
-    """Global descriptor: rootsift-vlad, hog, joint (floor and whole image), or of a network netvlad, superpoint,
-    resnet50 or vgg19 (flattened map), resnet50-pooled, vgg19-pooled."""
+    descriptor: str = "floornet"
+    """Global descriptor: floornet, rootsift-vlad, hog, joint (floor and whole image), or of a network whose weights are
+    not ours netvlad, superpoint, resnet50 or vgg19 (flattened map), resnet50-pooled, vgg19-pooled."""
     ranking: Literal["auto", "correlation", "cosine"] = "auto"
     """Ranking of candidates: the paper's cosine of global descriptors, or shift-maximised correlation of floor maps
-    (rootsift-vlad only, and its default)."""
-    extractor: str = "rootsift"
-    """Local features: rootsift (upright, on corners), sift, orb, surf, or a network: superpoint, d2net, alike."""
+    (floornet and rootsift-vlad only, and their default)."""
+    extractor: str = "floornet"
+    """Local features: floornet, rootsift (upright, on corners), sift, orb, surf, or another network: superpoint, d2net,
+    alike."""
     weights: Path | None = None
     """Of a network: its .safetensors file, or a folder of them; None: $EBJAX_WEIGHTS or ~/.cache/ebjax/weights."""
     arithmetic: Arithmetic = "exact"

@@ -212,16 +212,17 @@ def run(config: Config, out: Path, *, resume: bool) -> None:
     odometry = planar(sequence.odom_from_base)
     result = run_pipeline(load, sequence.timestamps, odometry, camera, view, config.slam, progress)
     lesson = taught(result, view, config.reach_m)
+    apart_m = view.extent_m / 2  # places that overlap more would be each other's rivals
     border = np.quantile(lesson.along_m, 1 - config.held_out)
-    learn = np.flatnonzero(lesson.along_m < border - view.extent_m / 2)
+    learn = np.flatnonzero(lesson.along_m < border - apart_m)
     hold = np.flatnonzero(lesson.along_m >= border)
-    count = min(config.pairs, int(np.ptp(lesson.along_m[learn]) / 0.75), len(learn)) if len(learn) else 0
+    count = min(config.pairs, int(np.ptp(lesson.along_m[learn]) / apart_m)) if len(learn) else 0
     if count < 3 or len(hold) < 2:
         raise ValueError(f"{config.sequence}: its accepted closures lie too close together to hold some floor out")
     path, network = open_floornet(config.start)
     graph, *states = nnx.split(network, nnx.Param, ...)
     root = jax.random.key(config.seed)
-    few = max(2, min(count, int(np.ptp(lesson.along_m[hold]) / 0.75)))
+    few = max(2, int(np.ptp(lesson.along_m[hold]) / apart_m))
     held = batch(lesson, hold[comb(lesson.along_m[hold], few, np.random.default_rng(config.seed))])
 
     def step(state, number):
@@ -245,7 +246,7 @@ def run(config: Config, out: Path, *, resume: bool) -> None:
     known = sequence.world_from_base
     truth = lesson.poses if known is None else planar(known)[result.keyframes]
     asked = np.isin(np.arange(len(lesson.poses)), lesson.later[hold])
-    named = {"before": network, "after": open_floornet(out / WEIGHTS)[1]}
+    named = {"before": open_floornet(config.start)[1], "after": open_floornet(out / WEIGHTS)[1]}
     rows = {name: recall(one, result, truth, view, asked) for name, one in named.items()}
     by = "the corrected path" if known is None else "ground truth"
     print(f"held-out floor, {int(asked.sum())} views, right by {by}:")
