@@ -51,7 +51,9 @@ def test_a_flat_view_has_no_features(name):
 
 
 def test_unknown_extractor_lists_the_known():
-    with pytest.raises(ValueError, match=r"'freak' is unknown; choose one of rootsift, sift, orb, surf, superpoint"):
+    with pytest.raises(
+        ValueError, match=r"'freak' is unknown; choose one of floornet, rootsift, sift, orb, surf, superpoint"
+    ):
         extractor("freak")
 
 

@@ -31,7 +31,7 @@ def transform(h, points):
     return p[:, :2] / p[:, 2:]
 
 
-def by_input(result, extractor="rootsift"):
+def by_input(result, extractor="floornet"):
     return {record["input"]: record for record in result["results"] if record["extractor"] == extractor}
 
 
@@ -152,7 +152,7 @@ def test_all_leaves_out_what_cannot_be_used_and_says_why(written, monkeypatch, t
     done = command("a.png", "b.png", "--extractor", "all", "--out", tmp_path / "all", cwd=folder)
     assert done.returncode == 0, done.stderr
     lines = done.stdout.splitlines()
-    assert [line.split()[0] for line in lines[1:5]] == ["rootsift", "sift", "orb", "surf"]
+    assert [line.split()[0] for line in lines[1:6]] == ["floornet", "rootsift", "sift", "orb", "surf"]
     left_out = [line for line in lines if line.startswith("left out: ")]
     assert [line.split()[2] for line in left_out] == ["superpoint", "d2net", "alike"]
     assert all("python -m ebjax.models convert" in line for line in left_out)

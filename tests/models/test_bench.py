@@ -13,7 +13,7 @@ def test_table_shows_ratios_and_errors():
 
 
 def test_bad_options_are_one_line():
-    with pytest.raises(ValueError, match="no network 'vgg99' to time; there are vgg16"):
+    with pytest.raises(ValueError, match="no network 'vgg99' to time; there are floornet, vgg16"):
         command.show_bench(command.BenchConfig(networks=("vgg99",)))
     with pytest.raises(ValueError, match="at least 1"):
         command.show_bench(command.BenchConfig(batches=(0,)))

@@ -23,7 +23,7 @@ def command(out, folder, *flags):
 
 def restrict(patch):
     """Fewer rows: what each costs is compiled for it."""
-    for name, kept in (("DESCRIPTORS", ("rootsift-vlad", "joint", "netvlad")), ("EXTRACTORS", ("orb", "d2net"))):
+    for name, kept in (("DESCRIPTORS", ("floornet", "joint", "netvlad")), ("EXTRACTORS", ("orb", "d2net"))):
         patch.setattr(experiment, name, kept)
     patch.setattr(experiment, "extractor", lambda name, weights=None: extractor("orb"))
 
@@ -42,8 +42,8 @@ def done(drawn, small_worlds, tmp_path_factory):
 
 def test_tables_and_pictures(done):
     tables = json.loads((done / "tables.json").read_text())
-    cell = tables["table 1"]["rootsift-vlad, correlation: floor + pi"]["W"]
-    blind = tables["table 1"]["rootsift-vlad, correlation: raw"]["W"]
+    cell = tables["table 1"]["floornet, correlation: floor + pi"]["W"]
+    blind = tables["table 1"]["floornet, correlation: raw"]["W"]
     assert cell["one_way_recall"] > max(0.7, blind["one_way_recall"])
     assert cell["one_way_recall_radius_m"] == pytest.approx(5 / 15, abs=0.02)
     assert cell["paper_recall_radius_m"] == pytest.approx(2 * cell["one_way_recall_radius_m"], abs=0.01)

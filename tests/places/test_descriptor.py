@@ -59,7 +59,7 @@ def test_vectors_are_unit_turn_with_the_view_and_know_nothing_of_what_is_not_see
     np.testing.assert_array_equal(chosen.unite(kept, seed=1).vectors, vectors)
 
 
-@pytest.mark.parametrize("name", sorted(set(DESCRIPTORS) - {"rootsift-vlad", "hog", "joint"}))
+@pytest.mark.parametrize("name", sorted(set(DESCRIPTORS) - {"floornet", "rootsift-vlad", "hog", "joint"}))
 def test_networks_refuse_without_their_weights(weights, tmp_path, monkeypatch, name):
     monkeypatch.setenv("EBJAX_WEIGHTS", str(tmp_path))
     network = name.removesuffix("-pooled")
@@ -73,5 +73,5 @@ def test_networks_refuse_without_their_weights(weights, tmp_path, monkeypatch, n
 
 
 def test_unknown_names_are_told_the_known_ones():
-    with pytest.raises(ValueError, match="choose one of rootsift-vlad, hog, joint"):
+    with pytest.raises(ValueError, match="choose one of floornet, rootsift-vlad, hog, joint"):
         descriptor("gist")
