@@ -244,14 +244,15 @@ def open_floornet(given: Path | None = None) -> tuple[Path, FloorNet]:
       ValueError: not a weights file, or not of this network; the file is named.
       OSError: it cannot be read.
     """
-    path = SHIPPED if given is None else given / SHIPPED.name if given.is_dir() else given
-    name, arrays = load_weights(path if path.is_file() or path == given else SHIPPED)
+    path = SHIPPED if given is None else given
+    if path.is_dir():
+        path = path / SHIPPED.name if (path / SHIPPED.name).is_file() else SHIPPED
+    name, arrays = load_weights(path)
     if name != NAME:
         path = SHIPPED
         name, arrays = load_weights(path)
-    network = nnx.eval_shape(
-        lambda: FloorNet(2 * np.shape(arrays.get("place_head.even", ((0,),)))[1], rngs=nnx.Rngs(0))
-    )
+    dimension = 2 * arrays["place_head.even"].shape[1] if "place_head.even" in arrays else 2
+    network = nnx.eval_shape(lambda: FloorNet(dimension, rngs=nnx.Rngs(0)))
     try:
         load_into(network, {key: np.asarray(array, np.float32) for key, array in arrays.items()})
     except ValueError as fault:

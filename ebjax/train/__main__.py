@@ -96,7 +96,10 @@ def main(config: Any) -> None:
 def _main() -> None:
     try:
         options = command(task_of(sys.argv[1:]))
-    except (ValueError, OSError) as fault:
+    except OSError as fault:
+        print(f"error: {fault.filename}: {str(fault.strerror).lower()}", file=sys.stderr)
+        sys.exit(2)
+    except ValueError as fault:
         print(f"error: {fault}", file=sys.stderr)
         sys.exit(2)
     try:

@@ -21,6 +21,7 @@ from ebjax.models.weights import flat_arrays, load_into, load_weights, save_weig
 from ebjax.train import processes
 from ebjax.train.canvas import NAMES, make_canvases
 from ebjax.train.loop import LoopConfig, Task, fit
+from ebjax.train.loop import check as check_loop
 from ebjax.train.losses import (
     choose_points,
     correlations,
@@ -94,6 +95,7 @@ class Config:
 
 def check(config: Config) -> None:
     """Raises ValueError that names the key which no training can have."""
+    check_loop(config.loop)
     if not 1 <= config.places <= 9:
         raise ValueError(f"places is {config.places}: needs 1 to 9 of a canvas")
     if config.side_px < 4 * CELL or config.side_px % CELL:

@@ -101,6 +101,8 @@ def test_weights_of_a_file_a_folder_or_another_network(network, tmp_path):
     save_weights(other, "alike", {"x": np.zeros(1, np.float32)})
     shipped, _ = open_floornet()
     assert open_floornet(other)[0] == shipped
+    (tmp_path / "empty").mkdir()
+    assert open_floornet(tmp_path / "empty")[0] == shipped
     with pytest.raises(FileNotFoundError):
         open_floornet(tmp_path / "none.safetensors")
 
