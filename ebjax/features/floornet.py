@@ -1,4 +1,4 @@
-"""floornet as a local feature: Shi-Tomasi corners, described by the network's local map where its scores are highest.
+"""floornet as a local feature: Shi-Tomasi corners, described by the network's local map.
 
 A reference seen from the opposite side is not extracted again: its descriptors are those of the view, the odd half with
 the other sign. A view of 400 px and more is also described at half its size, and so on, as by `upright`.

@@ -22,7 +22,6 @@ from ebjax.geometry.camera import Camera
 from ebjax.io.atomic import whole_file
 from ebjax.io.sequence import BrokenFrame, read_sequence
 from ebjax.models.floornet import FloorNet, fitted, open_floornet
-from ebjax.models.weights import flat_arrays, save_weights
 from ebjax.places.floornet import describe_view, unite
 from ebjax.places.recall import facing_pairs, precision_100, recall_at_1
 from ebjax.places.retrieve import comparable
@@ -33,7 +32,7 @@ from ebjax.slam.pipeline import PipelineConfig, Result
 from ebjax.slam.pipeline import run as run_pipeline
 from ebjax.slam.view import RunView, choose_floor, from_camera
 from ebjax.slam.world import planar
-from ebjax.train.floornet import WEIGHTS, Temperatures, Weights, objective
+from ebjax.train.floornet import WEIGHTS, Temperatures, Weights, objective, save_network
 from ebjax.train.loop import LoopConfig, Task, fit
 from ebjax.train.views import Pairs
 
@@ -234,9 +233,7 @@ def run(config: Config, out: Path, *, resume: bool) -> None:
         return {**metrics, "score": -metrics["loss"]}
 
     def export(state, metrics, out):
-        arrays = flat_arrays(nnx.merge(graph, state["params"], state["rest"]))
-        half = {name: np.asarray(array, np.float16) for name, array in arrays.items()}
-        save_weights(out / WEIGHTS, "floornet", half, {name: f"{value:.6g}" for name, value in metrics.items()})
+        save_network(nnx.merge(graph, state["params"], state["rest"]), metrics, out / WEIGHTS)
 
     settings = {"sequence": str(config.sequence), "start": str(path), "rate": config.rate, "seed": config.seed}
     state = {"params": states[0], "rest": states[1], "optimiser": _optimiser(config).init(states[0])}

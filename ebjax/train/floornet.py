@@ -5,6 +5,7 @@ canvases and which looks those are depends on the seed and the step's number alo
 """
 
 import dataclasses
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -114,9 +115,7 @@ def check(config: Config) -> None:
 
 def forward(network: FloorNet, pairs: Pairs, *, training: bool) -> FloorMaps:
     """The maps of all first views, then of all second ones."""
-    count = len(pairs.first)
     fields = [jnp.broadcast_to(seen, pairs.first.shape) for seen in (pairs.seen_first, pairs.seen_second)]
-    assert count == len(pairs.second)
     return network(jnp.concatenate([pairs.first, pairs.second]), jnp.concatenate(fields), training=training)
 
 
@@ -211,6 +210,12 @@ def _validate(
     return objective(network, pairs, *_parts(config), key=point_key, training=False)[1]
 
 
+def save_network(network: FloorNet, metrics: Mapping[str, float | int], path: Path) -> None:
+    """Writes the weights, float16, with the metrics in the file's header."""
+    half = {name: np.asarray(array, np.float16) for name, array in flat_arrays(network).items()}
+    save_weights(path, "floornet", half, {name: f"{value:.6g}" for name, value in metrics.items()})
+
+
 def task(config: Config, canvases: Float[np.ndarray, "N h w 3"]) -> Task:
     """The training of a network on canvases, the first `held_out` of which are for validation."""
     network = FloorNet(config.dimension, rngs=nnx.Rngs(config.seed))
@@ -235,9 +240,7 @@ def task(config: Config, canvases: Float[np.ndarray, "N h w 3"]) -> Task:
         return {**mean, "score": -mean["loss"]}
 
     def export(state, metrics, out):
-        arrays = flat_arrays(nnx.merge(graph, state["params"], state["rest"]))
-        half = {name: np.asarray(array, np.float16) for name, array in arrays.items()}
-        save_weights(out / WEIGHTS, "floornet", half, {name: f"{value:.6g}" for name, value in metrics.items()})
+        save_network(nnx.merge(graph, state["params"], state["rest"]), metrics, out / WEIGHTS)
 
     settings = {name: value for name, value in dataclasses.asdict(config).items() if name != "loop"}
     state = {"params": params, "rest": rest, "optimiser": _optimiser(config).init(params)}
