@@ -25,8 +25,6 @@ EXTRACTORS = {
 }
 """Each is an `Extractor` or, for a network, a function of its weights file and its arithmetic that gives one."""
 
-LUMA = (0.299, 0.587, 0.114)
-
 
 @dataclasses.dataclass(frozen=True)
 class Extractor:
@@ -55,11 +53,6 @@ class Extractor:
         found = self.extract(view[::-1, ::-1], seen[::-1, ::-1])
         last = jnp.asarray([view.shape[1] - 1, view.shape[0] - 1], found.keypoints.dtype)
         return dataclasses.replace(found, keypoints=last[None, :] - found.keypoints)
-
-
-def luma(view: Float[Array, "H W 3"]) -> Float[Array, "H W"]:
-    """The grey view, 0.299 R + 0.587 G + 0.114 B."""
-    return view @ jnp.asarray(LUMA, view.dtype)
 
 
 def unturned(descriptors: Float[Array, "*n D"]) -> Float[Array, "*n D"]:

@@ -6,50 +6,52 @@ the other sign. A view of 400 px and more is also described at half its size, an
 
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
-from flax import nnx
 from jaxtyping import Array, Bool, Float
 
 from ebjax.features.corners import find_corners
-from ebjax.features.extractor import Extractor, luma
+from ebjax.features.extractor import Extractor
 from ebjax.features.matching import Features
 from ebjax.features.upright import CORNERS, RADIUS_PX, halved, octaves
 from ebjax.geometry.warp import sample_bilinear
+from ebjax.models.eye import open_eye
 from ebjax.models.fast import Arithmetic
-from ebjax.models.floornet import CELL, fitted, open_floornet, parity
+from ebjax.models.floornet import parity
 from ebjax.models.layers import normalise
-
-STRIDE_PX = CELL // 2
+from ebjax.models.luma import luma
 
 
 def floornet(weights: Path | None, arithmetic: Arithmetic) -> Extractor:
     """The local feature, with the weights that `open_floornet` finds; it has one arithmetic."""
-    path, network = open_floornet(weights)
-    graph, state = nnx.split(network)
+    eye = open_eye(weights)
 
-    # The weights are arguments of one program: as constants in it they would be compiled.
     def extract(view: Float[Array, "H W 3"], seen: Bool[Array, "H W"]) -> Features:
-        return _extract(graph, state, jnp.asarray(view), jnp.asarray(seen))
+        found = []
+        for octave in range(octaves(*view.shape[:2])):
+            found.append(_corners(view, seen, eye(view, seen).local, octave=octave))
+            view, seen = _half(view, seen)
+        return jax.tree.map(lambda *rows: jnp.concatenate(rows), *found)
 
-    return Extractor(extract, jitted=False, turn=turn, weights=path)
+    return Extractor(extract, jitted=False, turn=turn, weights=eye.path)
 
 
-@partial(jax.jit, static_argnames="graph")
-def _extract(graph: Any, state: Any, view: Float[Array, "H W 3"], seen: Bool[Array, "H W"]) -> Features:
-    network, grey, found = nnx.merge(graph, state), luma(view).astype(jnp.float32), []
-    for octave in range(octaves(*grey.shape)):
-        keypoints, _, valid = find_corners(grey, seen, count=CORNERS, radius=RADIUS_PX)
-        looked, shown = fitted(grey, seen.astype(jnp.float32))
-        maps = network(looked[None], shown[None])
-        scale = jnp.array([looked.shape[1] / grey.shape[1], looked.shape[0] / grey.shape[0]], grey.dtype)
-        at = (keypoints + 0.5) * scale[None, :] / STRIDE_PX - 0.5
-        descriptors = normalise(sample_bilinear(maps.local[0], at))
-        found.append(Features((keypoints + 0.5) * 2**octave - 0.5, descriptors, valid))
-        grey, seen = halved(grey).mean((1, 3)), halved(seen).all((1, 3))
-    return jax.tree.map(lambda *rows: jnp.concatenate(rows), *found)
+@jax.jit
+def _half(view: Float[Array, "H W 3"], seen: Bool[Array, "H W"]) -> tuple[Float[Array, "h w 3"], Bool[Array, "h w"]]:
+    return halved(jnp.asarray(view)).mean((1, 3)), halved(jnp.asarray(seen)).all((1, 3))
+
+
+@partial(jax.jit, static_argnames="octave")
+def _corners(
+    view: Float[Array, "H W 3"], seen: Bool[Array, "H W"], local: Float[Array, "k l D"], *, octave: int
+) -> Features:
+    """The strongest corners, described; keypoints in pixels of the view that was halved `octave` times."""
+    view = jnp.asarray(view)
+    keypoints, _, valid = find_corners(luma(view), seen, count=CORNERS, radius=RADIUS_PX)
+    scale = jnp.array([local.shape[1] / view.shape[1], local.shape[0] / view.shape[0]], keypoints.dtype)
+    descriptors = normalise(sample_bilinear(local, (keypoints + 0.5) * scale[None, :] - 0.5))
+    return Features((keypoints + 0.5) * 2**octave - 0.5, descriptors, valid)
 
 
 def turn(descriptors: Float[Array, "*n D"]) -> Float[Array, "*n D"]:

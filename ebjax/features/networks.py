@@ -16,12 +16,13 @@ from jaxtyping import Array, Bool, Float
 import ebjax.models.alike
 import ebjax.models.d2net
 import ebjax.models.superpoint
-from ebjax.features.extractor import Extractor, luma
+from ebjax.features.extractor import Extractor
 from ebjax.features.matching import Features
 from ebjax.features.upright import halved
 from ebjax.models.detect import Detections, window_max
 from ebjax.models.fast import Arithmetic
 from ebjax.models.locate import open_network
+from ebjax.models.luma import luma
 
 COUNT = 2000
 SIDE_PX = 400

@@ -12,8 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ebjax.features.extractor import Extractor, luma, unturned
+from ebjax.features.extractor import Extractor, unturned
 from ebjax.features.matching import Features
+from ebjax.models.luma import luma
 
 COUNT = 1000
 CONTRAST = 0.01

@@ -12,8 +12,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Shaped
 
 from ebjax.features.corners import find_corners
-from ebjax.features.extractor import Extractor, luma
+from ebjax.features.extractor import Extractor
 from ebjax.features.matching import Features
+from ebjax.models.luma import luma
 from ebjax.models.rootsift import describe, pool_orientations, rotate_pi_descriptor
 
 BIN_PX = 6.0

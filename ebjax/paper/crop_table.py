@@ -21,13 +21,13 @@ from ebjax.paper import crops, page
 from ebjax.paper.cells import Cells
 from ebjax.paper.retrieval import FLOOR, TURNED
 from ebjax.places.descriptor import DESCRIPTORS, Descriptor, descriptor
+from ebjax.places.search import rankings
 from ebjax.viz import experiments
 
 Photographs = Mapping[str, UInt8[np.ndarray, "_ _ 3"]]
 
 TOP_VIEW_PX = 400
 REAL, SYNTHETIC = "real", "synthetic"
-RANKINGS = {name: ("correlation", "cosine") for name in ("floornet", "rootsift-vlad")}
 SHOWN = 6
 
 
@@ -64,8 +64,8 @@ def methods(weights: Path | None) -> tuple[dict[str, tuple[Descriptor, str]], di
         except ValueError as fault:
             absent[name] = page.reason(fault)
             continue
-        rankings = RANKINGS.get(name, ("cosine",))
-        found |= {f"{name}, {way}" if len(rankings) > 1 else name: (chosen, way) for way in rankings}
+        ways = rankings(chosen.has_maps)
+        found |= {f"{name}, {way}" if len(ways) > 1 else name: (chosen, way) for way in ways}
     return found, absent
 
 

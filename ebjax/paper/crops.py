@@ -13,13 +13,14 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from ebjax.command import progress
+from ebjax.models.luma import luma
 from ebjax.paper.looks import look_at
 from ebjax.paper.retrieval import FLOOR, TURNED, WAYS
 from ebjax.places.descriptor import Descriptor, Places
 from ebjax.places.descriptor_map import rotate_pi_map
 from ebjax.places.rootsift_vlad import ROOTSIFT_VLAD, project_all
 from ebjax.places.search import search
-from ebjax.places.view import luma, resized, unit
+from ebjax.places.view import resized, unit
 
 SIDE_PX, STRIDE_PX = 200, 100
 SHORTLIST = 50

@@ -24,13 +24,13 @@ from ebjax.paper.pairs import cut_pairs
 from ebjax.paper.retrieval import BOTH, FLOOR, INPUTS, TURNED, Retrieval
 from ebjax.paper.run import Run, read_run
 from ebjax.places.descriptor import DESCRIPTORS, Descriptor, descriptor
+from ebjax.places.search import rankings
 from ebjax.slam.pipeline import PipelineConfig
 
 Tables = dict[str, dict[str, dict[str, dict[str, Any]]]]
 """table -> row -> data set -> metric."""
 
 TABLE_1 = ("netvlad", "floornet", "rootsift-vlad", "joint")
-RANKINGS = {name: ("correlation", "cosine") for name in ("floornet", "rootsift-vlad")}
 JOINT_INPUTS = (FLOOR, TURNED, BOTH)
 REAL = "real"
 PICTURES = {"trajectory": figures.trajectory, "map": figures.registered_maps}
@@ -119,16 +119,16 @@ class Experiment:
                 self.left_out[which] = page.reason(fault)
         for name in names:
             for which in chosen:
-                rankings = RANKINGS.get(which, ("cosine",))
+                ways = rankings(self.descriptor(which).has_maps)
                 inputs = JOINT_INPUTS if which == "joint" else INPUTS if which in TABLE_1 else (TURNED,)
                 for seen_as in inputs:
                     cell = self.cells.values(
                         f"recall {name} {which} {seen_as}",
-                        self.settings(name, descriptor=which, input=seen_as, rankings=rankings, **self.weighed(which)),
-                        partial(self._recall, name, which, seen_as, rankings),
+                        self.settings(name, descriptor=which, input=seen_as, rankings=ways, **self.weighed(which)),
+                        partial(self._recall, name, which, seen_as, ways),
                     )
-                    for ranking in rankings:
-                        label = f"{which}, {ranking}" if len(rankings) > 1 else which
+                    for ranking in ways:
+                        label = f"{which}, {ranking}" if len(ways) > 1 else which
                         if which in TABLE_1:
                             self.add("table 1", f"{label}: {seen_as}", name, cell[ranking])
                         if seen_as == (BOTH if which == "joint" else TURNED):
@@ -209,8 +209,8 @@ class Experiment:
     def _drawn(self, what: str, name: str) -> bytes:
         return PICTURES[what](self.closed(name))
 
-    def _recall(self, name: str, which: str, seen_as: str, rankings: tuple[str, ...]) -> dict[str, Any]:
-        return self.retrieval(name, which).measure(seen_as, rankings, seed=self.seed)
+    def _recall(self, name: str, which: str, seen_as: str, ways: tuple[str, ...]) -> dict[str, Any]:
+        return self.retrieval(name, which).measure(seen_as, ways, seed=self.seed)
 
     def _drift(self, name: str) -> dict[str, Any]:
         return drift.measure(self.closed(name), self.pipeline)

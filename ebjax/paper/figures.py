@@ -95,7 +95,7 @@ def curves(table: Mapping[str, Mapping[str, Mapping[str, Any]]], names: Iterable
     """Precision over recall at 1 m, set by set: the default descriptor on every input, joint both ways, NetVLAD."""
     panels: dict[str, dict[str, tuple[np.ndarray, np.ndarray]]] = {}
     shown = {f"{DEFAULT}: {seen_as}": seen_as for seen_as in INPUTS}
-    shown |= {row: row.split(":")[0] for row in table if row in (f"joint: {BOTH}", f"netvlad: {TURNED}")}
+    shown |= {row: row.split(":")[0] for row in table if row in (f"joint, correlation: {BOTH}", f"netvlad: {TURNED}")}
     for name in names:
         panels[name] = {}
         for row, label in shown.items():

@@ -20,7 +20,7 @@ from ebjax.paper.retrieval import merits
 from ebjax.paper.run import Run
 from ebjax.places.descriptor import Descriptor, Places
 from ebjax.places.retrieve import comparable
-from ebjax.places.search import search
+from ebjax.places.search import rankings, search
 
 FACING, BOTH = "facing", "both ways"
 CLEAN = "clean"
@@ -72,7 +72,7 @@ def measure(
     for name, condition in progress(steps, len(steps), f"{run.sequence.path.name}, retrieval"):
         chosen, seed = methods[name], 0 if condition == CLEAN else int(condition)
         places = chosen.unite(look_at(chosen, _shown(conditions[condition])), seed=seed)
-        for ranking in ("correlation", "cosine") if chosen.has_maps else ("cosine",):
+        for ranking in rankings(chosen.has_maps):
             found.setdefault(f"{name}, {ranking}", {})[condition] = {
                 searched: _found(run, places, ranking, allowed) for searched, allowed in _allowed(run).items()
             }

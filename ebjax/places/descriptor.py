@@ -21,7 +21,7 @@ DESCRIPTORS = {
     "floornet": "ebjax.places.floornet:floornet",
     "rootsift-vlad": "ebjax.places.rootsift_vlad:ROOTSIFT_VLAD",
     "hog": "ebjax.places.hog:HOG",
-    "joint": "ebjax.places.joint:JOINT",
+    "joint": "ebjax.places.joint:joint",
     "netvlad": "ebjax.places.netvlad:netvlad",
     "superpoint": "ebjax.places.superpoint:superpoint",
     "resnet50": "ebjax.places.backbones:resnet50",
@@ -37,12 +37,14 @@ DESCRIPTORS = {
 class Places:
     """All views of a run: unit vectors as they are ([..., 0]) and turned by pi ([..., 1]).
 
-    `maps` and `space` are there where the descriptor is made of a map that can be correlated.
+    `maps` and `space` are there where the descriptor is made of a map that can be correlated; `share` says how much of
+    the cosine of two views comes from it.
     """
 
     vectors: Float[Array, "N V 2"]
     maps: Float[Array, "N h w D"] | None = None
     space: MapSpace | None = None
+    share: float | int = 1
 
 
 @dataclasses.dataclass(frozen=True)

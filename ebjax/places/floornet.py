@@ -4,44 +4,39 @@ One look serves both directions: the network is equivariant under R_pi (`models.
 """
 
 from collections.abc import Mapping
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from flax import nnx
 from jaxtyping import Array, Bool, Float
 
+from ebjax.models.eye import Looked, open_eye
 from ebjax.models.fast import Arithmetic
-from ebjax.models.floornet import fitted, open_floornet, parity
+from ebjax.models.floornet import parity
 from ebjax.places.descriptor import Descriptor, Places
 from ebjax.places.descriptor_map import MIN_SUPPORT, MapSpace
-from ebjax.places.rootsift_vlad import global_descriptors, window
-from ebjax.places.view import luma
+from ebjax.places.rootsift_vlad import window
+from ebjax.places.words import by_words
 
 
 def floornet(weights: Path | None, arithmetic: Arithmetic) -> Descriptor:
     """The descriptor, with the weights that `open_floornet` finds; it has one arithmetic."""
-    path, network = open_floornet(weights)
-    graph, state = nnx.split(network)
+    eye = open_eye(weights)
 
-    # The weights are arguments of one program: as constants in it they would be compiled.
     def look(view: Float[Array, "H W 3"], seen: Bool[Array, "H W"], image: Any) -> Mapping[str, Array]:
-        return describe_view(graph, state, jnp.asarray(view), jnp.asarray(seen))
+        return keep(eye(view, seen))
 
-    return Descriptor(look, unite, jitted=False, has_maps=True, weights=path)
+    return Descriptor(look, unite, jitted=False, has_maps=True, weights=eye.path)
 
 
-@partial(jax.jit, static_argnames="graph")
-def describe_view(graph: Any, state: Any, view: Float[Array, "H W 3"], seen: Bool[Array, "H W"]) -> Mapping[str, Array]:
-    """What is kept of a view, RGB in [0, 1]: its place map, float16, and which of its cells are seen."""
-    grey, shown = fitted(luma(view).astype(jnp.float32), seen.astype(jnp.float32))
-    places = nnx.merge(graph, state)(grey[None], shown[None]).places[0]
-    rows, columns, _ = places.shape
-    share = shown.reshape(rows, shown.shape[0] // rows, columns, -1).mean((1, 3))
-    return {"map": places.astype(jnp.float16), "cells": share > MIN_SUPPORT}
+@jax.jit
+def keep(looked: Looked) -> Mapping[str, Array]:
+    """What is kept of a view: its place map, float16, and which of its cells are seen."""
+    rows, columns, _ = looked.places.shape
+    share = looked.shown.reshape(rows, looked.shown.shape[0] // rows, columns, -1).mean((1, 3))
+    return {"map": looked.places.astype(jnp.float16), "cells": share > MIN_SUPPORT}
 
 
 @jax.jit
@@ -60,4 +55,5 @@ def unite(kept: Mapping[str, np.ndarray], *, seed: int = 0) -> Places:
     dimension = maps.shape[-1]
     counted = jnp.asarray(mask[rows, columns], maps.dtype)
     space = MapSpace(mean, jnp.eye(dimension, dtype=maps.dtype), jnp.asarray(parity(dimension)), counted)
-    return Places(global_descriptors(maps, space, seed=seed), maps, space)
+    vectors, weighed = by_words(maps, space, seed=seed)
+    return Places(vectors, weighed, space)

@@ -12,8 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, UInt8
 
+from ebjax.models.luma import luma
 from ebjax.places.descriptor import Descriptor, Places
-from ebjax.places.view import MIN_SHARE, luma
+from ebjax.places.view import MIN_SHARE
 from ebjax.places.vlad import centred
 
 CELL_PX = 16

@@ -1,20 +1,25 @@
 """Floor and whole image in one vector, for carpets and other floors that say little (future work in Early Bird).
 
-Both are described as by `rootsift_vlad`, each with its own components and words, and joined as (sqrt(a) floor,
-sqrt(1 - a) whole), so that the cosine of two views is a times that of their floors plus 1 - a times that of their
-images. The share a is learned from the run: a part counts by how far the best match of a view stands out from the
-others beyond what chance would give (`distinctness`), so one that tells nothing gets next to nothing.
-From the opposite side only the floor is the same: of a view turned by pi the whole image has no part.
+The floor is described as by `floornet`, the image as by `rootsift_vlad`, each with words of its own, and joined as
+(sqrt(a) floor, sqrt(1 - a) whole), so that the cosine of two views is a times that of their floors plus 1 - a times
+that of their images. The share a is learned from the run: a part counts by how far the best match of a view stands out
+from the others beyond what chance would give (`distinctness`), so one that tells nothing gets next to nothing.
+From the opposite side only the floor is the same: of a view turned by pi the whole image has no part. The floor's maps
+are correlated too, and count as much as its vector.
 """
 
+import dataclasses
 import math
 from collections.abc import Mapping
+from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, UInt8
 
-import ebjax.places.rootsift_vlad as rootsift_vlad
+from ebjax.models.fast import Arithmetic
+from ebjax.places import floornet, rootsift_vlad
 from ebjax.places.descriptor import Descriptor, Places
 from ebjax.places.view import resized
 
@@ -22,12 +27,23 @@ SIDE_PX = 200
 SAMPLE_VIEWS = 512
 
 
-def look(view: Float[Array, "H W 3"], seen: Bool[Array, "H W"], image: UInt8[ArrayLike, "I J 3"]) -> dict[str, Array]:
-    """The dense maps of both."""
-    whole = resized(jnp.asarray(image, view.dtype) / 255, SIDE_PX)
-    parts = {"floor": (view, seen), "whole": (whole, jnp.ones(whole.shape[:2], bool))}
-    found = {part: rootsift_vlad.look(*looked, image) for part, looked in parts.items()}
-    return {f"{part}_{name}": array for part, arrays in found.items() for name, array in arrays.items()}
+@jax.jit
+def _look_at_whole(image: UInt8[ArrayLike, "I J 3"]) -> Mapping[str, Array]:
+    whole = resized(jnp.asarray(image, jnp.float32) / 255, SIDE_PX)
+    return rootsift_vlad.look(whole, jnp.ones(whole.shape[:2], bool), image)
+
+
+def joint(weights: Path | None, arithmetic: Arithmetic) -> Descriptor:
+    """The descriptor, with floornet's weights as `models.floornet.open_floornet` finds them."""
+    floor = floornet.floornet(weights, arithmetic)
+
+    def look(
+        view: Float[Array, "H W 3"], seen: Bool[Array, "H W"], image: UInt8[ArrayLike, "I J 3"]
+    ) -> Mapping[str, Array]:
+        parts = {"floor": floor.look(view, seen, image), "whole": _look_at_whole(jnp.asarray(image))}
+        return {f"{part}_{name}": array for part, arrays in parts.items() for name, array in arrays.items()}
+
+    return Descriptor(look, unite, jitted=False, has_maps=True, weights=floor.weights)
 
 
 def distinctness(vectors: Float[Array, "N V"]) -> float:
@@ -60,13 +76,11 @@ def floor_share(floor: Float[Array, "N V"], whole: Float[Array, "N W"]) -> float
 def unite(kept: Mapping[str, np.ndarray], *, seed: int = 0) -> Places:
     """Both parts, weighed and joined."""
     floor, whole = (
-        rootsift_vlad.unite({name: kept[f"{part}_{name}"] for name in ("map", "cells")}, seed=seed).vectors
-        for part in ("floor", "whole")
+        describe({name: kept[f"{part}_{name}"] for name in ("map", "cells")}, seed=seed)
+        for part, describe in (("floor", floornet.unite), ("whole", rootsift_vlad.unite))
     )
-    a = floor_share(floor[..., 0], whole[..., 0])
-    straight = jnp.concatenate([math.sqrt(a) * floor[..., 0], math.sqrt(1 - a) * whole[..., 0]], 1)
-    turned = jnp.concatenate([floor[..., 1], jnp.zeros_like(whole[..., 1])], 1)
-    return Places(jnp.stack([straight, turned], -1))
-
-
-JOINT = Descriptor(look, unite)
+    a = floor_share(floor.vectors[..., 0], whole.vectors[..., 0])
+    image = whole.vectors[..., 0]
+    straight = jnp.concatenate([math.sqrt(a) * floor.vectors[..., 0], math.sqrt(1 - a) * image], 1)
+    turned = jnp.concatenate([floor.vectors[..., 1], jnp.zeros_like(image)], 1)
+    return dataclasses.replace(floor, vectors=jnp.stack([straight, turned], -1), share=a)

@@ -6,22 +6,19 @@ Cells whose descriptors reach beyond what is seen do not count.
 """
 
 from collections.abc import Mapping
-from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, UInt8
 
+from ebjax.models.luma import luma
 from ebjax.places.descriptor import Descriptor, Places
 from ebjax.places.descriptor_map import MIN_SUPPORT, MapSpace, dense, learn_space, project
-from ebjax.places.view import luma
-from ebjax.places.vlad import centred, kmeans, vlad
+from ebjax.places.words import by_words
 
 CHANNELS = 32
-CLUSTERS = 32
 SAMPLE_VIEWS = 256
-SAMPLE_CELLS = 30_000
 BLOCK = 32
 
 
@@ -74,42 +71,11 @@ def project_all(
     return maps * jnp.asarray(cells[:, rows, columns, None], maps.dtype), space
 
 
-@partial(jax.jit, static_argnames="seed")
-def vocabulary(words: Float[Array, "M D"], *, seed: int) -> Float[Array, "K D"]:
-    """CLUSTERS words."""
-    return kmeans(words, clusters=CLUSTERS, key=jax.random.key(seed))
-
-
-@jax.jit
-def _describe(maps: Float[Array, "N r c D"], centres: Float[Array, "K D"], space: MapSpace) -> Float[Array, "N V 2"]:
-    weight = space.mask.reshape(-1)
-
-    def both(values):
-        cells = values.reshape(-1, values.shape[-1])  # sums over cells do not see that turning reverses their order
-        return jnp.stack([vlad(side, weight, centres) for side in (cells, cells * space.parity[None, :])], -1)
-
-    return centred(jax.lax.map(both, maps))
-
-
-def global_descriptors(maps: Float[Array, "N r c D"], space: MapSpace, *, seed: int = 0) -> Float[Array, "N V 2"]:
-    """VLAD of every view as it is ([..., 0], the query and same-direction reference) and turned by pi ([..., 1]).
-
-    The vocabulary comes from the run's own cells, in both orientations. The mean over the run is taken away, as it is
-    from the maps: it is what all places share.
-    """
-    host = np.asarray(maps).reshape(len(maps), -1, maps.shape[-1])
-    cells = np.flatnonzero(np.asarray(space.mask))
-    total = len(host) * len(cells)
-    chosen = np.random.default_rng(seed).choice(total, min(total, SAMPLE_CELLS // 2), replace=False)
-    rows = host[chosen // len(cells), cells[chosen % len(cells)]]
-    words = np.concatenate([rows, rows * np.asarray(space.parity)[None, :]])
-    return _describe(maps, vocabulary(words, seed=seed), space)
-
-
 def unite(kept: Mapping[str, np.ndarray], *, seed: int = 0) -> Places:
     """Components, words, vectors."""
     maps, space = project_all(kept["map"], kept["cells"])
-    return Places(global_descriptors(maps, space, seed=seed), maps, space)
+    vectors, weighed = by_words(maps, space, seed=seed)
+    return Places(vectors, weighed, space)
 
 
 ROOTSIFT_VLAD = Descriptor(look, unite, has_maps=True)

@@ -1,7 +1,8 @@
 """Loop candidates of a whole run from its places: a shortlist by cosine, in both directions, then the ranking.
 
 `ranking="cosine"` is the paper's plain single-vector cosine, and all that most descriptors have. "correlation" ranks
-the shortlist by shift-maximised correlation of the descriptor's maps; "auto" does so where there are maps.
+the shortlist by the mean of that cosine and of the shift-maximised correlation of the descriptor's maps: the one knows
+what is there, the other where it lies, and they err on different views. "auto" does so where there are maps.
 """
 
 import numpy as np
@@ -13,6 +14,11 @@ from ebjax.places.retrieve import LoopCandidates, correlate_shortlist, merge, sh
 SHORTLIST = 20
 """Views of each direction that are correlated with a query."""
 RANKINGS = ("auto", "correlation", "cosine")
+
+
+def rankings(has_maps: bool) -> tuple[str, ...]:
+    """The rankings that a descriptor allows, the best first."""
+    return ("correlation", "cosine") if has_maps else ("cosine",)
 
 
 def check_ranking(ranking: str, has_maps: bool) -> None:
@@ -49,5 +55,6 @@ def search(
     if ranking == "cosine" or places.maps is None:
         score, shift = cosine, np.zeros((*j.shape, 2), np.int32)
     else:
-        score, shift = correlate_shortlist(places.maps, asked, j, places.space)
+        correlation, shift = correlate_shortlist(places.maps, asked, j, places.space)
+        score = (cosine + places.share * correlation) / (1 + places.share)
     return merge(asked, j, score, shift, np.isfinite(cosine))

@@ -9,12 +9,13 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ebjax.models.fast import Arithmetic
+from ebjax.models.luma import luma
 from ebjax.models.superpoint import SuperPoint
 from ebjax.places.descriptor import Descriptor, Places
 from ebjax.places.network import network_descriptor
-from ebjax.places.rootsift_vlad import SAMPLE_CELLS, vocabulary
-from ebjax.places.view import cells_seen, luma
-from ebjax.places.vlad import centred, vlad
+from ebjax.places.view import cells_seen
+from ebjax.places.vlad import Vocabulary, centred, vlad
+from ebjax.places.words import SAMPLE_CELLS, words_of
 
 SIDE_PX = 200
 
@@ -26,11 +27,9 @@ def read(network: SuperPoint, images: Float[Array, "2 H W 3"], shown: Float[Arra
 
 
 @jax.jit
-def _aggregate(
-    maps: Float[Array, "N 2 P D"], cells: Bool[Array, "N 2 P"], words: Float[Array, "K D"]
-) -> Float[Array, "N V 2"]:
+def _aggregate(maps: Float[Array, "N 2 P D"], cells: Bool[Array, "N 2 P"], words: Vocabulary) -> Float[Array, "N V 2"]:
     def both(one):
-        values, weight = (leaf.astype(words.dtype) for leaf in one)
+        values, weight = (leaf.astype(words.centres.dtype) for leaf in one)
         return jnp.stack([vlad(values[way], weight[way], words) for way in (0, 1)], -1)
 
     return centred(jax.lax.map(both, (maps, cells)))
@@ -48,7 +47,7 @@ def unite(kept: Mapping[str, np.ndarray], *, seed: int = 0) -> Places:
     if not len(seen):
         raise ValueError("no cell of the view is seen well enough to be described; look at more floor")
     chosen = np.random.default_rng(seed).choice(seen, min(len(seen), SAMPLE_CELLS), replace=False)
-    words = vocabulary(maps.reshape(-1, maps.shape[-1])[chosen].astype(np.float32), seed=seed)
+    words = words_of(maps.reshape(-1, maps.shape[-1])[chosen].astype(np.float32), seed=seed)
     return Places(_aggregate(maps, cells, words))
 
 

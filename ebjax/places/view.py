@@ -4,13 +4,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-LUMA = (0.299, 0.587, 0.114)
 MIN_SHARE = 0.5
-
-
-def luma(view: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
-    """The grey view, 0.299 R + 0.587 G + 0.114 B."""
-    return view @ jnp.asarray(LUMA, view.dtype)
 
 
 def filled(view: Float[Array, "H W C"], seen: Float[Array, "H W"]) -> Float[Array, "H W C"]:

@@ -1,4 +1,4 @@
-"""From an image to all that the run needs of it, one jitted program: floor view, place map, features, 3D points."""
+"""From an image to all that the run needs of it: floor view, place map, features, 3D points."""
 
 import dataclasses
 import typing
@@ -8,7 +8,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 from jax.typing import DTypeLike
-from jaxtyping import Array, Bool, Float, UInt8
+from jaxtyping import Array, ArrayLike, Bool, Float, UInt8
 
 from ebjax.features.extractor import Extractor
 from ebjax.features.matching import Features
@@ -88,37 +88,24 @@ def floor_view(rgb: UInt8[Array, "H W C"] | Float[Array, "H W C"], samples: Taps
 
 
 @partial(jax.jit, static_argnames=("extractor", "descriptor"))
-def describe(
+def _describe(
     rgb: UInt8[Array, "H W 3"],
     depth_m: Float[Array, "H W"],
     samples: Taps,
     view: RunView,
     camera: Camera,
     *,
-    extractor: Extractor = ROOTSIFT,
-    descriptor: Descriptor = ROOTSIFT_VLAD,
-) -> Described:
-    """Describes a frame.
-
-    Args:
-      rgb: the image.
-      depth_m: along the optical axis, 0 = missing (all zero without a depth camera).
-      samples: from `view_taps`.
-      view: the run's floor view.
-      camera: of the run.
-      extractor: a jitted one; `describe_host` takes any.
-      descriptor: of one that is not jitted nothing is kept here; `describe_host` takes any.
-    """
+    extractor: Extractor | None,
+    descriptor: Descriptor | None,
+) -> tuple[UInt8[Array, "h w 3"], Bool[Array, "h w"], Mapping[str, Array] | None, Landmarks | None]:
+    """The view, its floor, and what may be computed in the same program."""
     colours = floor_view(rgb, samples)
     floor = clear_floor(depth_m.astype(view.image_from_view.dtype), view, camera)
-    features = extractor.extract(colours, view.seen)
-    return Described(
-        jnp.round(colours * 255).astype(jnp.uint8),
-        floor,
-        descriptor.look(colours, floor, rgb) if descriptor.jitted else {},
-        _located(features, floor, depth_m, view, camera),
-        None,
-    )
+    place = None if descriptor is None else descriptor.look(colours, floor, rgb)
+    landmarks = None
+    if extractor is not None:
+        landmarks = _located(extractor.extract(colours, floor), floor, depth_m, view, camera)
+    return jnp.round(colours * 255).astype(jnp.uint8), floor, place, landmarks
 
 
 def _located(features: Features, floor, depth_m, view: RunView, camera: Camera) -> Landmarks:
@@ -134,28 +121,42 @@ def _located(features: Features, floor, depth_m, view: RunView, camera: Camera) 
 _located_jit = jax.jit(_located)
 
 
-def describe_host(
-    rgb,
-    depth_m,
+def describe(
+    rgb: UInt8[ArrayLike, "H W 3"],
+    depth_m: Float[ArrayLike, "H W"],
     samples: Taps,
     view: RunView,
     camera: Camera,
-    extractor: Extractor,
+    *,
+    extractor: Extractor = ROOTSIFT,
     descriptor: Descriptor = ROOTSIFT_VLAD,
 ) -> Described:
-    """`describe`, for extractors and descriptors that are called from the host too."""
-    jitted = extractor if extractor.jitted else ROOTSIFT
-    result = describe(rgb, depth_m, samples, view, camera, extractor=jitted, descriptor=descriptor)
-    if not descriptor.jitted:
-        colours = result.view.astype(jnp.float32) / 255
-        result = dataclasses.replace(result, place=descriptor.look(colours, result.floor, rgb))
-    if extractor.jitted:
-        return result
-    colours, depth_m = result.view.astype(jnp.float32) / 255, jnp.asarray(depth_m)
+    """Describes a frame.
 
-    def located(features: Features) -> Landmarks:
-        return _located_jit(features, result.floor, depth_m, view, camera)
+    Args:
+      rgb: the image.
+      depth_m: along the optical axis, 0 = missing (all zero without a depth camera).
+      samples: from `view_taps`.
+      view: the run's floor view.
+      camera: of the run.
+      extractor: of local features.
+      descriptor: of places.
+    """
+    rgb, depth_m = jnp.asarray(rgb), jnp.asarray(depth_m)
+    inside = {
+        "extractor": extractor if extractor.jitted else None,
+        "descriptor": descriptor if descriptor.jitted else None,
+    }
+    shown, floor, place, landmarks = _describe(rgb, depth_m, samples, view, camera, **inside)
+    # What both look at is one and the same array: an `Eye` looks once.
+    colours, turned = shown.astype(jnp.float32) / 255, None
+    if place is None:
+        place = descriptor.look(colours, floor, rgb)
+    if landmarks is None:
 
-    landmarks = located(extractor.extract(colours, view.seen))
-    turned = None if extractor.turn else located(extractor.turned(colours, view.seen))
-    return dataclasses.replace(result, landmarks=landmarks, turned=turned)
+        def located(features: Features) -> Landmarks:
+            return _located_jit(features, floor, depth_m, view, camera)
+
+        landmarks = located(extractor.extract(colours, floor))
+        turned = None if extractor.turn else located(extractor.turned(colours, floor))
+    return Described(shown, floor, place, landmarks, turned)

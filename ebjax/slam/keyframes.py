@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from ebjax.features.extractor import Extractor
 from ebjax.geometry.camera import Camera
 from ebjax.places.descriptor import Descriptor
-from ebjax.slam.describe import Described, describe_host, view_taps
+from ebjax.slam.describe import Described, describe, view_taps
 from ebjax.slam.view import RunView
 
 Load = Callable[[int], tuple[np.ndarray, np.ndarray | None] | None]
@@ -43,7 +43,15 @@ def describe_keyframes(
             if images is None:
                 continue
             rgb, depth = images
-            one = describe_host(rgb, blank if depth is None else depth, samples, view, camera, extractor, descriptor)
+            one = describe(
+                rgb,
+                blank if depth is None else depth,
+                samples,
+                view,
+                camera,
+                extractor=extractor,
+                descriptor=descriptor,
+            )
             rows.append(jax.tree.map(np.asarray, one))
             keyframes.append(frame)
     if len(rows) < 2:

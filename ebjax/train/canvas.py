@@ -16,7 +16,7 @@ from ebjax.floors.noise import fractal_noise
 from ebjax.floors.surface import FamilyName, Material, family
 from ebjax.floors.wear import paint, scatter
 from ebjax.io.atomic import whole_file
-from ebjax.places.view import luma
+from ebjax.models.luma import luma
 
 TEXEL_M = 0.005
 SIDE_PX = 512

@@ -19,7 +19,7 @@ from ebjax.floors.surface import FamilyName, FloorConfig
 from ebjax.geometry.camera import Camera
 from ebjax.geometry.mount import Mounting, remounted
 from ebjax.io.atomic import whole_file
-from ebjax.places.view import luma
+from ebjax.models.luma import luma
 from ebjax.slam.select import Odometry
 from ebjax.slam.soft import SoftRun
 from ebjax.slam.soft_pairs import chain_of

@@ -21,12 +21,13 @@ from ebjax.command import progress
 from ebjax.geometry.camera import Camera
 from ebjax.io.atomic import whole_file
 from ebjax.io.sequence import BrokenFrame, read_sequence
+from ebjax.models.eye import Eye
 from ebjax.models.floornet import FloorNet, fitted, open_floornet
-from ebjax.places.floornet import describe_view, unite
+from ebjax.models.luma import luma
+from ebjax.places.floornet import keep, unite
 from ebjax.places.recall import facing_pairs, precision_100, recall_at_1
 from ebjax.places.retrieve import comparable
 from ebjax.places.search import search
-from ebjax.places.view import luma
 from ebjax.posegraph.init import to_matrices
 from ebjax.slam.pipeline import PipelineConfig, Result
 from ebjax.slam.pipeline import run as run_pipeline
@@ -172,9 +173,9 @@ def recall(
     network: FloorNet, result: Result, truth: Float[np.ndarray, "K 3"], view: RunView, asked: Bool[np.ndarray, " K"]
 ) -> dict[str, float]:
     """R@0.3 m, R@1 m and P100 of some keyframes, searched as slam does."""
-    graph, state = nnx.split(network)
+    eye = Eye(network)
     rows = zip(result.described.view, result.described.floor, strict=True)
-    kept = [describe_view(graph, state, jnp.asarray(v, jnp.float32) / 255, jnp.asarray(s)) for v, s in rows]
+    kept = [keep(eye(jnp.asarray(v, jnp.float32) / 255, jnp.asarray(s))) for v, s in rows]
     places = unite({name: np.stack([np.asarray(one[name]) for one in kept]) for name in kept[0]})
     travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(truth[:, :2], axis=0), axis=1))])
     order = np.arange(len(truth), dtype=float)

@@ -3,11 +3,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from ebjax.features.extractor import extractor, luma
+from ebjax.features.extractor import extractor
 from ebjax.features.measure import SHARED_SIGMA, lift, measure_depth, measure_floor
 from ebjax.features.pair import compare, extract, look, metric_view, quad_view, raw_view
 from ebjax.geometry.camera import FloorView
 from ebjax.geometry.homography import apply
+from ebjax.models.luma import luma
 
 FLOOR = FloorView(0.68, 2.43, -0.875, 0.875, 1.75 / 400)
 SEEDS = 6

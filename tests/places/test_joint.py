@@ -1,33 +1,38 @@
 """The joint descriptor where one of its parts says nothing, and on a real corridor with a carpet."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from ebjax.io.image_folder import list_images
-from ebjax.places import joint
+from ebjax.places import floornet, joint, rootsift_vlad
 from ebjax.places.__main__ import Looker, PlacesConfig
-from ebjax.places.rootsift_vlad import look
+from ebjax.places.descriptor import descriptor
 
 RNG = np.random.default_rng(8)
 PLACES = 12
 
 
 @pytest.fixture(scope="module")
-def maps(floor_texture):
-    """Dense maps of places seen twice, the second time with other light and noise; and of nothing but noise."""
-    seen, image = jnp.ones((96, 96), bool), np.zeros((4, 4, 3), np.uint8)
-    described = jax.jit(look)
+def looked(floor_texture):
+    """What is kept of places seen twice, the second time with other light and noise; and of nothing but noise."""
+    seen = jnp.ones((96, 96), bool)
+    look = descriptor("joint").look
 
     def of(views):
         rgb = (np.repeat(view[..., None], 3, 2).astype(np.float32) for view in views)
-        kept = [described(jnp.asarray(view), seen, image) for view in rgb]
+        kept = [look(jnp.asarray(view), seen, np.rint(255 * view.clip(0, 1)).astype(np.uint8)) for view in rgb]
         return {name: np.stack([np.asarray(one[name]) for one in kept]) for name in kept[0]}
 
     places = [floor_texture((96, 96), 40 + k) for k in range(PLACES)]
     again = [0.8 * place + RNG.normal(0, 0.01, place.shape) for place in places]
     return of(places + again), of([0.5 + RNG.normal(0, 0.02, (96, 96)) for _ in range(2 * PLACES)])
+
+
+def part(kept, which):
+    """What one of the two parts makes of what was kept."""
+    unite = {"floor": floornet, "whole": rootsift_vlad}[which].unite
+    return unite({name: kept[f"{which}_{name}"] for name in ("map", "cells")})
 
 
 def recall(vectors, margin=0):
@@ -36,23 +41,27 @@ def recall(vectors, margin=0):
     return np.mean(np.abs(np.argmax(queries @ references.T, 1) - np.arange(len(queries))) <= margin)
 
 
+def mixed(first, second):
+    """The floor of one, the whole images of the other."""
+    return {name: (first if name.startswith("floor") else second)[name] for name in first}
+
+
 @pytest.mark.parametrize("informative", ["floor", "whole"])
-def test_a_part_that_says_nothing_does_no_harm(maps, informative):
-    some, none = maps
-    parts = {"floor": some if informative == "floor" else none, "whole": some if informative == "whole" else none}
-    kept = {f"{part}_{name}": array for part, arrays in parts.items() for name, array in arrays.items()}
-    alone = {part: recall(joint.rootsift_vlad.unite(arrays).vectors) for part, arrays in parts.items()}
+def test_a_part_that_says_nothing_does_no_harm(looked, informative):
+    some, none = looked
+    kept = mixed(some, none) if informative == "floor" else mixed(none, some)
+    alone = {which: recall(part(kept, which).vectors) for which in ("floor", "whole")}
     assert alone[informative] == 1 and min(alone.values()) < 0.5
-    assert recall(joint.unite(kept).vectors) == 1
+    places = joint.unite(kept)
+    assert recall(places.vectors) == 1
+    assert (places.share > 0.8) if informative == "floor" else (places.share < 0.2)
 
 
-def test_the_whole_image_has_no_part_in_a_turned_view(maps):
-    some, none = maps
-    both = {f"{part}_{name}": array for part in ("floor", "whole") for name, array in some.items()}
-    other = {**both, **{f"whole_{name}": array for name, array in none.items()}}
-    first, second = (np.asarray(joint.unite(kept).vectors) for kept in (both, other))
+def test_the_whole_image_has_no_part_in_a_turned_view(looked):
+    some, none = looked
+    first, second = (np.asarray(joint.unite(kept).vectors) for kept in (some, mixed(some, none)))
     np.testing.assert_array_equal(first[..., 1], second[..., 1])
-    floor = np.asarray(joint.rootsift_vlad.unite(some).vectors)
+    floor = np.asarray(part(some, "floor").vectors)
     np.testing.assert_array_equal(first[:, : floor.shape[1], 1], floor[..., 1])
 
 
@@ -72,12 +81,10 @@ def test_a_real_corridor_with_a_carpet(data):
     """Every fourth image; a query's true references are its own number and the next."""
     folders = [data("vpr_corridor") / name for name in ("ref", "query")]
     quad = (66.0, 80.0, 92.0, 80.0, 112.0, 108.0, 46.0, 108.0)
-    looker = Looker(PlacesConfig(*folders, quad=quad, quad_margin=0.15), joint.JOINT)
+    looker = Looker(PlacesConfig(*folders, quad=quad, quad_margin=0.15), descriptor("joint"))
     looked = [looker.look(path) for folder in folders for path in list_images(folder)[::4]]
     kept = {name: np.stack([one[name] for one in looked]) for name in looked[0]}
-    parts = [
-        joint.rootsift_vlad.unite({name: kept[f"{part}_{name}"] for name in ("map", "cells")})
-        for part in ("floor", "whole")
-    ]
-    floor, whole, both = (recall(places.vectors, margin=1) for places in (*parts, joint.unite(kept)))
+    floor, whole, both = (
+        recall(places.vectors, margin=1) for places in (part(kept, "floor"), part(kept, "whole"), joint.unite(kept))
+    )
     assert both > max(floor, whole) + 0.05 and min(floor, whole) > 0.2

@@ -31,11 +31,11 @@ def test_vectors_are_unit_and_of_both_orientations(kept):
 def test_a_view_and_the_same_view_turned_have_the_same_two_vectors(kept, floor_texture):
     rgb = np.repeat(floor_texture((SIZE, SIZE), 0)[..., None], 3, 2)
     seen, image = jnp.ones((SIZE, SIZE), bool), np.zeros((4, 4, 3), np.uint8)
-    views = [rgb, rgb[::-1, ::-1], *(np.repeat(floor_texture((SIZE, SIZE), k)[..., None], 3, 2) for k in range(1, 7))]
+    views = [rgb, rgb[::-1, ::-1], *(np.repeat(floor_texture((SIZE, SIZE), k)[..., None], 3, 2) for k in range(1, 20))]
     looked = [jax.jit(look)(jnp.asarray(np.ascontiguousarray(one)), seen, image) for one in views]
     vectors = np.asarray(unite({n: np.stack([np.asarray(v[n]) for v in looked]) for n in looked[0]}).vectors)
     others = vectors[0, :, 1] @ vectors[2:, :, 0].T
-    assert vectors[0, :, 1] @ vectors[1, :, 0] > 0.8 > 0.5 > others.max()
+    assert vectors[0, :, 1] @ vectors[1, :, 0] > 0.7 > 0.2 > others.max()
 
 
 def test_cells_that_one_view_does_not_see_are_zero_there(kept):

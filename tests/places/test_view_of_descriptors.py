@@ -3,7 +3,8 @@
 import jax.numpy as jnp
 import numpy as np
 
-from ebjax.places.view import cells_seen, filled, luma, resized, unit
+from ebjax.models.luma import luma
+from ebjax.places.view import cells_seen, filled, resized, unit
 
 RNG = np.random.default_rng(6)
 

@@ -9,10 +9,14 @@ from scipy.cluster.vq import kmeans2
 
 from ebjax.models.layers import normalise
 from ebjax.models.netvlad import Aggregation
-from ebjax.places.vlad import kmeans, netvlad
-from ebjax.places.vlad import vlad as eager_vlad
+from ebjax.places.vlad import SECOND_SHARE, Vocabulary, kmeans, learn_vocabulary, netvlad, shares
+from ebjax.places.vlad import vlad as by_words
 
-vlad = jax.jit(eager_vlad, static_argnums=3)
+
+@jax.jit
+def vlad(values, mask, centres, alpha):
+    return by_words(values, mask, Vocabulary(centres, jnp.asarray(alpha, values.dtype)))
+
 
 RNG = np.random.default_rng(2)
 VALUES, CENTRES = RNG.standard_normal((20, 5)), RNG.standard_normal((4, 5))
@@ -59,8 +63,10 @@ def test_gradient_of_vlad_is_that_of_central_differences():
 
 def test_a_view_without_cells_is_zero_with_a_finite_gradient():
     empty = jnp.zeros(20)
-    np.testing.assert_array_equal(vlad(jnp.asarray(VALUES), empty, jnp.asarray(CENTRES)), 0)
-    gradient = jax.jit(jax.grad(lambda values: vlad(values, empty, jnp.asarray(CENTRES)).sum()))(jnp.asarray(VALUES))
+    np.testing.assert_array_equal(vlad(jnp.asarray(VALUES), empty, jnp.asarray(CENTRES), 30.0), 0)
+    gradient = jax.jit(jax.grad(lambda values: vlad(values, empty, jnp.asarray(CENTRES), 30.0).sum()))(
+        jnp.asarray(VALUES)
+    )
     assert np.isfinite(gradient).all()
 
 
@@ -81,6 +87,16 @@ def test_kmeans_finds_separate_clusters_and_survives_too_few_points():
     np.testing.assert_allclose(np.asarray(best)[np.lexsort(np.asarray(best).round().T)], corners, atol=0.1)
     assert best.dtype == jnp.float32
     assert np.isfinite(kmeans(points[:2], clusters=4, key=jax.random.key(0))).all()
+
+
+def test_the_second_nearest_word_gets_its_share_whatever_the_scale():
+    points = RNG.standard_normal((500, 4))
+    for scale in (1.0, 0.01):
+        words = learn_vocabulary(jnp.asarray(scale * points), clusters=6, key=jax.random.key(0))
+        share = np.sort(np.asarray(jax.jit(shares)(jnp.asarray(scale * points), jnp.ones(500), words)), 1)
+        np.testing.assert_allclose(np.exp(np.mean(np.log(share[:, -2] / share[:, -1]))), SECOND_SHARE, rtol=1e-6)
+    alone = learn_vocabulary(jnp.ones((3, 4)), clusters=1, key=jax.random.key(0))
+    assert np.isfinite(alone.alpha)
 
 
 def test_an_assignment_of_its_own_is_the_published_layer():

@@ -8,7 +8,7 @@ from ebjax.features.matching import mutual_nearest
 from ebjax.features.upright import ROOTSIFT
 from ebjax.geometry.camera import FloorView, camera_over_floor
 from ebjax.geometry.homography import apply
-from ebjax.slam.describe import describe_host, view_taps
+from ebjax.slam.describe import describe, view_taps
 from ebjax.slam.verify import seen_from
 from ebjax.slam.view import from_camera
 
@@ -27,7 +27,7 @@ def frames():
         for seed in (0, 1):
             noise = gaussian_filter(np.random.default_rng(seed).standard_normal((240, 320, 3)), (2, 2, 0))
             rgb = np.clip(128 + 60 * noise / noise.std(), 0, 255).astype(np.uint8)
-            both.append(describe_host(rgb, jnp.zeros((240, 320), jnp.float32), samples, view, camera, chosen))
+            both.append(describe(rgb, jnp.zeros((240, 320), jnp.float32), samples, view, camera, extractor=chosen))
         described[name] = jax_stack(both)
     return view, described
 
