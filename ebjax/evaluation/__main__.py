@@ -194,7 +194,8 @@ class AblationsConfig:
 class CropsConfig:
     """Ranks descriptors by retrieval among crops of photographed floors, and of synthetic floors beside them.
 
-    Writes crops.md, crops.json and PNGs of examples; prints Kendall's tau of the two rankings.
+    Local features match some of the crops with what is seen of them again. Writes crops.md, crops.json and PNGs of
+    examples; prints Kendall's tau of the two rankings.
     """
 
     floors: tyro.conf.Positional[tuple[Path, ...]]
@@ -205,6 +206,8 @@ class CropsConfig:
     """Images that count, as a pattern of their names."""
     crops: int = 800
     """Crops in the database, at most."""
+    pairs: int = 60
+    """Crops that local features match with their queries, at most."""
     synthetic: bool = True
     """Measure on synthetic floors too."""
     weights: Path | None = None
@@ -248,7 +251,7 @@ def crops(config: CropsConfig) -> None:
     from ebjax.paper.crop_table import make
 
     common = (config.only, config.crops, config.weights, config.seed)
-    print("\n".join(make(config.floors, config.out, *common, side_by_side=config.synthetic)))
+    print("\n".join(make(config.floors, config.out, *common, pairs=config.pairs, side_by_side=config.synthetic)))
     print(f"wrote {config.out / 'crops.md'}")
 
 

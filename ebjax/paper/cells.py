@@ -26,6 +26,11 @@ def _digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()[:32]
 
 
+def weighed(weights: Path | None) -> dict[str, Any]:
+    """A weights file, by size and time, as part of a cell's settings."""
+    return {} if weights is None else {"weights": [weights.name, weights.stat().st_size, weights.stat().st_mtime]}
+
+
 class Cells:
     """A folder of cells.
 

@@ -11,6 +11,7 @@ from jaxtyping import UInt8
 from scipy.stats import kendalltau
 
 import ebjax
+from ebjax.features.extractor import EXTRACTORS, usable
 from ebjax.features.pair import look, quad_view
 from ebjax.io.atomic import whole_file
 from ebjax.io.cache import digest
@@ -18,7 +19,9 @@ from ebjax.io.image_folder import list_images
 from ebjax.io.images import read_image
 from ebjax.io.pairs import read_pairs
 from ebjax.paper import crops, page
-from ebjax.paper.cells import Cells
+from ebjax.paper.cells import Cells, weighed
+from ebjax.paper.crop_features import CropPair
+from ebjax.paper.crop_features import measure as measure_features
 from ebjax.paper.retrieval import FLOOR, TURNED
 from ebjax.places.descriptor import DESCRIPTORS, Descriptor, descriptor
 from ebjax.places.search import rankings
@@ -70,7 +73,15 @@ def methods(weights: Path | None) -> tuple[dict[str, tuple[Descriptor, str]], di
 
 
 def make(
-    folders: Sequence[Path], out: Path, only: str, most: int, weights: Path | None, seed: int, *, side_by_side: bool
+    folders: Sequence[Path],
+    out: Path,
+    only: str,
+    most: int,
+    weights: Path | None,
+    seed: int,
+    *,
+    pairs: int,
+    side_by_side: bool,
 ) -> list[str]:
     """Measures both, writes crops.md, crops.json and pictures; see `ebjax.evaluation.__main__.CropsConfig`.
 
@@ -79,6 +90,8 @@ def make(
     """
     if most < 2:
         raise ValueError(f"--crops is {most}; give at least 2")
+    if pairs < 1:
+        raise ValueError(f"--pairs is {pairs}; give at least 1")
     used, absent = methods(weights)
     cells = Cells(out / "cells")
     sources = {REAL: read_photographs(folders, only)}
@@ -86,7 +99,9 @@ def make(
         from ebjax.paper.strips import strips
 
         sources[SYNTHETIC] = strips(seed)
+    extractors, without = usable(list(EXTRACTORS), weights)
     tables: dict[str, dict[str, dict[str, float]]] = {}
+    features: dict[str, dict[str, dict[str, Any]]] = {}
     lines, pictures = [], []
     for source, photographs in sources.items():
         cut = crops.cut(photographs, most)
@@ -94,8 +109,11 @@ def make(
         settings = {"ebjax": ebjax.__version__, "seed": seed, "content": content, "crops": len(cut)}
 
         @lru_cache(maxsize=1)
-        def images(source: str = source, cut: tuple = tuple(cut)) -> list[np.ndarray]:
+        def made(source: str = source, cut: tuple = tuple(cut)) -> tuple[list[np.ndarray], list[np.ndarray]]:
             return crops.images_of(sources[source], list(cut), seed=seed)
+
+        def images(made=made) -> list[np.ndarray]:
+            return made()[0]
 
         @lru_cache(maxsize=1)
         def kept(chosen: Descriptor, images=images) -> Mapping[str, np.ndarray]:
@@ -106,7 +124,25 @@ def make(
             return crops.recall(kept(chosen), chosen, ranking, seed=seed)
 
         tables[source] = {
-            label: cells.values(f"crops {source} {label}", settings, partial(measure, label)) for label in used
+            label: cells.values(
+                f"crops {source} {label}", settings | weighed(used[label][0].weights), partial(measure, label)
+            )
+            for label in used
+        }
+        some = np.unique(np.linspace(0, len(cut) - 1, min(pairs, len(cut))).round().astype(int))
+
+        def match(which: str, made=made, some=some) -> dict[str, Any]:
+            images, motions = made()
+            chosen = [CropPair(images[k], images[len(motions) + k], motions[k]) for k in some]
+            return measure_features(extractors[which], chosen, seed=seed)
+
+        features[source] = {
+            which: cells.values(
+                f"pairs {source} {which}",
+                settings | weighed(extractors[which].weights) | {"pairs": len(some)},
+                partial(match, which),
+            )
+            for which in extractors
         }
         draw = partial(_examples, images, len(cut))
         pictures.append(cells.picture(out / f"crops_{source}.png", settings, draw))
@@ -117,13 +153,18 @@ def make(
         for label in used
     }
     lines += ["", *page.markdown_table(head, rows)]
-    result: dict[str, Any] = {"tables": tables, "left_out": absent, "settings": _settings(seed, most, only)}
+    result: dict[str, Any] = {"tables": tables, "features": features, "left_out": absent}
+    result["settings"] = _settings(seed, most, only)
     if side_by_side:
         tau = kendalltau(*(crops.spread(tables[source], TURNED) for source in (REAL, SYNTHETIC)))
         result["kendall_tau"] = {"tau": float(tau.statistic), "p": float(tau.pvalue), "methods": len(used)}
         lines.append(f"Kendall tau of the two rankings, {TURNED}, {len(used)} methods: {tau.statistic:.3f}")
         lines.append(f"(p {tau.pvalue:.3f} for rankings that have nothing to do with each other).")
-    lines += ["", *(f"Left out: {why}" for why in absent.values())]
+    head = ["local features: inliers / matches, right motions", *features]
+    matched = {which: [_matched(features[source][which]) for source in features] for which in extractors}
+    lines += ["", *page.markdown_table(head, matched)]
+    left_out = dict.fromkeys([*absent.values(), *map(page.reason, without.values())])
+    lines += ["", *(f"Left out: {why}" for why in left_out)]
     shown = [f"![{path.stem}]({path.name})" for path in pictures]
     with whole_file(out / "crops.md") as file:
         file.write("\n".join(["# Retrieval among crops of floors", "", *lines, "", *shown, ""]))
@@ -139,6 +180,10 @@ def _examples(images, count: int) -> bytes:
         query = every[count + k]
         rows[f"crop {k}"] = (every[k], query, np.ascontiguousarray(query[::-1, ::-1]))
     return experiments.image_grid(rows, ("database", "query", "turned by pi"))
+
+
+def _matched(row: Mapping[str, Any]) -> str:
+    return f"{row['inliers']:.0f} / {row['total']:.0f}, {row['right']} of {row['pairs']}"
 
 
 def _settings(seed: int, most: int, only: str) -> dict[str, Any]:

@@ -50,12 +50,13 @@ def cut(photographs: Mapping[str, UInt8[np.ndarray, "_ _ 3"]], most: int) -> lis
 
 def seen_again(
     photograph: UInt8[np.ndarray, "H W 3"], crop: Crop, rng: np.random.Generator
-) -> UInt8[np.ndarray, "S S 3"]:
-    """The crop turned by pi, from another viewpoint, in another light."""
-    return relit(_warped(photograph, crop, rng), rng)
+) -> tuple[UInt8[np.ndarray, "S S 3"], Float[np.ndarray, "3 3"]]:
+    """The crop turned by pi, from another viewpoint, in another light; and its pixels to those of the photograph."""
+    image, photograph_from_query = _warped(photograph, crop, rng)
+    return relit(image, rng), photograph_from_query
 
 
-def _warped(photograph: np.ndarray, crop: Crop, rng: np.random.Generator) -> np.ndarray:
+def _warped(photograph: np.ndarray, crop: Crop, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Rotation, scale, shift and perspective about the crop's centre; beyond the photograph it is mirrored."""
     angle = np.pi + np.radians(rng.uniform(-ROTATION_DEG, ROTATION_DEG))
     scale = 1 + rng.uniform(-SCALE, SCALE)
@@ -67,8 +68,9 @@ def _warped(photograph: np.ndarray, crop: Crop, rng: np.random.Generator) -> np.
     tilted = np.array([[1, 0, 0], [0, 1, 0], [tilt[0], tilt[1], 1]])
     photograph_from_query = moved @ tilted @ from_centre
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    size = (SIDE_PX, SIDE_PX)
-    return cv2.warpPerspective(photograph, photograph_from_query, size, flags=flags, borderMode=cv2.BORDER_REFLECT_101)
+    size, border = (SIDE_PX, SIDE_PX), cv2.BORDER_REFLECT_101
+    image = cv2.warpPerspective(photograph, photograph_from_query, size, flags=flags, borderMode=border)
+    return image, photograph_from_query
 
 
 def relit(image: UInt8[np.ndarray, "S S 3"], rng: np.random.Generator) -> UInt8[np.ndarray, "S S 3"]:
@@ -129,14 +131,18 @@ def recall(kept: Mapping[str, np.ndarray], chosen: Descriptor, ranking: str, *, 
 
 def images_of(
     photographs: Mapping[str, UInt8[np.ndarray, "_ _ 3"]], crops: list[Crop], *, seed: int
-) -> list[UInt8[np.ndarray, "S S 3"]]:
-    """All crops, then their queries in the same order."""
+) -> tuple[list[UInt8[np.ndarray, "S S 3"]], list[Float[np.ndarray, "3 3"]]]:
+    """All crops, then their queries in the same order; and for each crop where its pixels lie in its query."""
     rng, half = np.random.default_rng(seed), (SIDE_PX - 1) / 2
-    database = []
+    database, queries, motions = [], [], []
     for name, x, y in crops:
         top, left = round(y - half), round(x - half)
         database.append(np.ascontiguousarray(photographs[name][top : top + SIDE_PX, left : left + SIDE_PX]))
-    return database + [seen_again(photographs[crop[0]], crop, rng) for crop in crops]
+        query, photograph_from_query = seen_again(photographs[name], (name, x, y), rng)
+        photograph_from_crop = np.array([[1.0, 0.0, left], [0.0, 1.0, top], [0.0, 0.0, 1.0]])
+        queries.append(query)
+        motions.append(np.linalg.inv(photograph_from_query) @ photograph_from_crop)
+    return database + queries, motions
 
 
 def spread(values: Mapping[str, Mapping[str, float]], by: str) -> Float[np.ndarray, " M"]:

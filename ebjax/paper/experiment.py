@@ -18,7 +18,7 @@ from ebjax.features.table import Pair, compare_pairs
 from ebjax.io.images import read_both
 from ebjax.io.pairs import read_pairs
 from ebjax.paper import drift, figures, page, worlds
-from ebjax.paper.cells import Cells
+from ebjax.paper.cells import Cells, weighed
 from ebjax.paper.drift import Closed, close_loops
 from ebjax.paper.pairs import cut_pairs
 from ebjax.paper.retrieval import BOTH, FLOOR, INPUTS, TURNED, Retrieval
@@ -103,11 +103,6 @@ class Experiment:
         """Puts a cell into the tables."""
         self.tables.setdefault(table, {}).setdefault(row, {})[column] = dict(values)
 
-    def weighed(self, which: str) -> dict[str, Any]:
-        """The weights file of a descriptor, by size and time, as part of a cell's settings."""
-        weights = self.descriptor(which).weights
-        return {} if weights is None else {"weights": [weights.name, weights.stat().st_size, weights.stat().st_mtime]}
-
     def recall(self, names: tuple[str, ...]) -> None:
         """Tables 1 and 2, set by set."""
         chosen = []
@@ -124,7 +119,13 @@ class Experiment:
                 for seen_as in inputs:
                     cell = self.cells.values(
                         f"recall {name} {which} {seen_as}",
-                        self.settings(name, descriptor=which, input=seen_as, rankings=ways, **self.weighed(which)),
+                        self.settings(
+                            name,
+                            descriptor=which,
+                            input=seen_as,
+                            rankings=ways,
+                            **weighed(self.descriptor(which).weights),
+                        ),
                         partial(self._recall, name, which, seen_as, ways),
                     )
                     for ranking in ways:
@@ -152,6 +153,7 @@ class Experiment:
         for name in (*names, *((REAL,) if real is not None else ())):
             for which in found:
                 settings = self.settings(None if name == REAL else name, extractor=which, pairs=self.pair_count)
+                settings |= weighed(found[which].weights)
                 cell = self.cells.values(
                     f"pairs {name} {which}",
                     settings,
