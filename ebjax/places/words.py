@@ -1,7 +1,7 @@
 """What the words of a run say of its views: a vector each, and how much every cell of a map counts.
 
-A pattern that fills a view, grout or a patch of sun, says no more than one piece of it: within a view the cells of one
-word share one cell's weight (Jegou, Douze and Schmid, "On the burstiness of visual elements", CVPR 2009).
+A pattern that fills a view, grout or a patch of sun, says little more than one piece of it: n cells of one word in a
+view weigh as much as sqrt(n) (Jegou, Douze and Schmid, "On the burstiness of visual elements", CVPR 2009).
 """
 
 from functools import partial
@@ -40,7 +40,7 @@ def _describe(
         for side in (cells, cells * parity[None, :]):
             share = shares(side, seen, words)
             sides.append(aggregate(side, share, words.centres))
-            counts += share @ (1 / (1 + share.sum(0)))
+            counts += share @ (1 / jnp.sqrt(1 + share.sum(0)))
         return jnp.stack(sides, -1), values * counts.reshape(*values.shape[:2], 1)
 
     vectors, weighed = jax.lax.map(one, maps)
