@@ -22,8 +22,9 @@ import numpy as np
 from ebjax.command import progress
 from ebjax.io.atomic import whole_file, whole_folder
 from ebjax.train import processes
+from ebjax.train.log import Log
 
-LOG, CHECKPOINTS, PLACE = "log.jsonl", "checkpoints", "place.json"
+CHECKPOINTS, PLACE = "checkpoints", "place.json"
 SCORE = "score"
 
 State = Any
@@ -40,6 +41,8 @@ class LoopConfig:
     """Steps between validations; each is followed by a checkpoint."""
     patience: int = 10
     """Validations without a better score after which training stops."""
+    tensorboard: bool = False
+    """Write TensorBoard's event files too: needs pip install "ebjax[train]"."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,7 +95,7 @@ def fit(task: Task, config: LoopConfig, out: Path, *, resume: bool) -> Metrics:
     state, place = store.load(task.state) if resume else (task.state, _Place())
     processes.agree((place.step, store.settings), f"config or step in {store.folder}")
     state = processes.replicate(state)
-    log = _Log(out / LOG, place.step)
+    log = Log(out, place.step, events=config.tensorboard)
     started = time.perf_counter() - place.seconds
     left = range(place.step, config.steps if place.stale < config.patience else place.step)
     metrics = _floats(task.validate(state)) if place.step == 0 or not left else {}
@@ -133,7 +136,7 @@ def check(config: LoopConfig) -> None:
 
 
 def _numbers(config: LoopConfig) -> dict[str, Any]:
-    return {f"loop.{name}": value for name, value in dataclasses.asdict(config).items()}
+    return {f"loop.{name}": getattr(config, name) for name in ("steps", "validate_every", "patience")}
 
 
 class Checkpoints:
@@ -216,31 +219,6 @@ def _reason(fault: Exception) -> str:
     text = " ".join(str(fault).split())
     words = [os.strerror(number) for number in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EACCES, errno.EROFS)]
     return next((known for known in words if known in text), text[:200] or type(fault).__name__)
-
-
-class _Log:
-    """JSON lines; those after the step that is gone on from are taken away first."""
-
-    def __init__(self, path: Path, step: int):
-        self.path = path if processes.first() else None
-        if self.path is None:
-            return
-        kept = []
-        if step and path.is_file():
-            lines = path.read_text(encoding="utf-8").splitlines()
-            kept = [line for line in lines if line.endswith("}") and json.loads(line)["step"] <= step]
-        with whole_file(path) as file:
-            file.write("".join(f"{line}\n" for line in kept))
-
-    def write(self, step: int, kind: str, metrics: Metrics, seconds: float) -> None:
-        if self.path is None:
-            return
-        line = {"step": step, "kind": kind, "seconds": round(seconds, 3), **metrics}
-        try:
-            with open(self.path, "a", encoding="utf-8") as file:
-                file.write(json.dumps(line) + "\n")
-        except OSError as fault:
-            raise OSError(fault.errno, fault.strerror, str(self.path)) from None
 
 
 def _floats(metrics: dict[str, Any]) -> Metrics:
