@@ -121,6 +121,18 @@ def test_vectors_alone_are_ranked_by_cosine(run):
         search(bare, allowed, ranking="correlation")
 
 
+def test_correlation_is_ranked_by_its_mean_with_the_cosine(run):
+    _, places, allowed, _ = run
+    alone = search(dataclasses.replace(places, share=1e9), allowed)
+    i, j, way = (np.asarray(part)[20, 0] for part in (alone.i, alone.j, alone.opposing))
+    cosine = np.asarray(places.vectors)[i, :, 0] @ np.asarray(places.vectors)[j, :, int(way)]
+    for share in (0.5, 1.0):
+        found = search(dataclasses.replace(places, share=share), allowed)
+        row = np.flatnonzero((np.asarray(found.j)[20] == j) & (np.asarray(found.opposing)[20] == way))[0]
+        expected = (cosine + share * (1 - np.asarray(alone.distance)[20, 0])) / (1 + share)
+        np.testing.assert_allclose(1 - np.asarray(found.distance)[20, row], expected, atol=1e-5)
+
+
 def test_bad_input_says_what_to_do(run):
     _, places, allowed, _ = run
     with pytest.raises(ValueError, match="choose auto, correlation, cosine"):
