@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,24 +14,20 @@ import ebjax
 from ebjax.features.extractor import EXTRACTORS, usable
 from ebjax.features.pair import look, quad_view
 from ebjax.io.atomic import whole_file
-from ebjax.io.cache import digest
 from ebjax.io.image_folder import list_images
 from ebjax.io.images import read_image
 from ebjax.io.pairs import read_pairs
 from ebjax.paper import crops, page
 from ebjax.paper.cells import Cells, weighed
-from ebjax.paper.crop_features import CropPair
-from ebjax.paper.crop_features import measure as measure_features
+from ebjax.paper.crop_source import Source
 from ebjax.paper.retrieval import FLOOR, TURNED
 from ebjax.places.descriptor import DESCRIPTORS, Descriptor, descriptor
 from ebjax.places.search import rankings
-from ebjax.viz import experiments
 
 Photographs = Mapping[str, UInt8[np.ndarray, "_ _ 3"]]
 
 TOP_VIEW_PX = 400
 REAL, SYNTHETIC = "real", "synthetic"
-SHOWN = 6
 
 
 def read_photographs(folders: Sequence[Path], only: str) -> dict[str, UInt8[np.ndarray, "_ _ 3"]]:
@@ -93,60 +89,34 @@ def make(
     if pairs < 1:
         raise ValueError(f"--pairs is {pairs}; give at least 1")
     used, absent = methods(weights)
+    extractors, without = usable(list(EXTRACTORS), weights)
     cells = Cells(out / "cells")
-    sources = {REAL: read_photographs(folders, only)}
+    floors = {REAL: read_photographs(folders, only)}
     if side_by_side:
         from ebjax.paper.strips import strips
 
-        sources[SYNTHETIC] = strips(seed)
-    extractors, without = usable(list(EXTRACTORS), weights)
+        floors[SYNTHETIC] = strips(seed)
     tables: dict[str, dict[str, dict[str, float]]] = {}
     features: dict[str, dict[str, dict[str, Any]]] = {}
     lines, pictures = [], []
-    for source, photographs in sources.items():
-        cut = crops.cut(photographs, most)
-        content = digest(*photographs.values())
-        settings = {"ebjax": ebjax.__version__, "seed": seed, "content": content, "crops": len(cut)}
-
-        @lru_cache(maxsize=1)
-        def made(source: str = source, cut: tuple = tuple(cut)) -> tuple[list[np.ndarray], list[np.ndarray]]:
-            return crops.images_of(sources[source], list(cut), seed=seed)
-
-        def images(made=made) -> list[np.ndarray]:
-            return made()[0]
-
-        @lru_cache(maxsize=1)
-        def kept(chosen: Descriptor, images=images) -> Mapping[str, np.ndarray]:
-            return crops.describe(chosen, images())
-
-        def measure(label: str, kept=kept) -> dict[str, float]:
-            chosen, ranking = used[label]
-            return crops.recall(kept(chosen), chosen, ranking, seed=seed)
-
-        tables[source] = {
-            label: cells.values(
-                f"crops {source} {label}", settings | weighed(used[label][0].weights), partial(measure, label)
+    for name, photographs in floors.items():
+        source = Source(photographs, most, seed=seed)
+        settings = {"ebjax": ebjax.__version__, **source.settings}
+        tables[name], features[name] = {}, {}
+        for label, (described, ranking) in used.items():
+            tables[name][label] = cells.values(
+                f"crops {name} {label}",
+                settings | weighed(described.weights),
+                partial(source.recall, described, ranking),
             )
-            for label in used
-        }
-        some = np.unique(np.linspace(0, len(cut) - 1, min(pairs, len(cut))).round().astype(int))
-
-        def match(which: str, made=made, some=some) -> dict[str, Any]:
-            images, motions = made()
-            chosen = [CropPair(images[k], images[len(motions) + k], motions[k]) for k in some]
-            return measure_features(extractors[which], chosen, seed=seed)
-
-        features[source] = {
-            which: cells.values(
-                f"pairs {source} {which}",
-                settings | weighed(extractors[which].weights) | {"pairs": len(some)},
-                partial(match, which),
+        for which, chosen in extractors.items():
+            features[name][which] = cells.values(
+                f"pairs {name} {which}",
+                settings | weighed(chosen.weights) | {"pairs": pairs},
+                partial(source.match, chosen, pairs),
             )
-            for which in extractors
-        }
-        draw = partial(_examples, images, len(cut))
-        pictures.append(cells.picture(out / f"crops_{source}.png", settings, draw))
-        lines.append(f"{source}: {len(cut)} crops of {len(photographs)} floors.")
+        pictures.append(cells.picture(out / f"crops_{name}.png", settings, source.examples))
+        lines.append(f"{name}: {len(source.cut)} crops of {len(photographs)} floors.")
     head = ["R@1, %", *(f"{source}, {seen_as}" for source in tables for seen_as in (FLOOR, TURNED))]
     rows = {
         label: [page.percent(tables[source][label][seen_as]) for source in tables for seen_as in (FLOOR, TURNED)]
@@ -171,15 +141,6 @@ def make(
     with whole_file(out / "crops.json") as file:
         json.dump(result, file, indent=1, allow_nan=False)
     return lines
-
-
-def _examples(images, count: int) -> bytes:
-    every = images()
-    rows = {}
-    for k in np.linspace(0, count - 1, SHOWN).round().astype(int):
-        query = every[count + k]
-        rows[f"crop {k}"] = (every[k], query, np.ascontiguousarray(query[::-1, ::-1]))
-    return experiments.image_grid(rows, ("database", "query", "turned by pi"))
 
 
 def _matched(row: Mapping[str, Any]) -> str:
