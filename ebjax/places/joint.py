@@ -25,6 +25,7 @@ from ebjax.places.view import resized
 
 SIDE_PX = 200
 SAMPLE_VIEWS = 512
+DRAWS = 400
 
 
 @jax.jit
@@ -51,20 +52,20 @@ def distinctness(vectors: Float[Array, "N V"]) -> float:
 
         (mean_i max_j s_ij - chance) / var s_ij,    j != i,    at least 0
 
-    chance is the mean plus one standard deviation of max_j s_ij among random views, drawn from a normal law with the
-    run's own covariance: where a run has few degrees of freedom, its views resemble each other by chance.
+    chance is what the largest of N - 1 independent normal values with the mean and the variance of s_ij would be: their
+    mean largest plus its standard deviation.
     """
     rows = np.unique(np.linspace(0, len(vectors) - 1, min(len(vectors), SAMPLE_VIEWS)).round().astype(int))
     chosen = np.asarray(vectors, np.float64)[rows]
-    _, spread, _ = np.linalg.svd(chosen - chosen.mean(0), full_matrices=False)
-    if len(rows) < 3 or spread[0] < 1e-9:
+    count = len(rows) - 1
+    if count < 2:
         return 0.0
-    random = np.random.default_rng(0).standard_normal((len(rows), len(spread))) * spread
-    random /= np.maximum(np.linalg.norm(random, axis=1, keepdims=True), 1e-12)
-    others = ~np.eye(len(rows), dtype=bool)
-    ours, theirs = ((v @ v.T)[others].reshape(len(rows), -1) for v in (chosen, random))
-    chance = theirs.max(1).mean() + theirs.max(1).std()
-    return max(0.0, float((ours.max(1).mean() - chance) / ours.var()))
+    cosines = (chosen @ chosen.T)[~np.eye(len(rows), dtype=bool)].reshape(-1, count)
+    if (spread := cosines.std()) < 1e-9:
+        return 0.0
+    largest = np.random.default_rng(0).standard_normal((DRAWS, count)).max(1)
+    chance = cosines.mean() + spread * (largest.mean() + largest.std())
+    return max(0.0, float((cosines.max(1).mean() - chance) / spread**2))
 
 
 def floor_share(floor: Float[Array, "N V"], whole: Float[Array, "N W"]) -> float:

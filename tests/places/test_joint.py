@@ -78,13 +78,13 @@ def test_distinctness_is_nothing_for_noise_and_grows_with_order():
 
 
 def test_a_real_corridor_with_a_carpet(data):
-    """Every other image; a query's true references are its own number and the next. This floor says little."""
+    """A query's true references are its own number and two on either side. This floor says little, and does no harm."""
     folders = [data("vpr_corridor") / name for name in ("ref", "query")]
     quad = (66.0, 80.0, 92.0, 80.0, 112.0, 108.0, 46.0, 108.0)
     looker = Looker(PlacesConfig(*folders, quad=quad, quad_margin=0.15), descriptor("joint"))
-    looked = [looker.look(path) for folder in folders for path in list_images(folder)[::2]]
+    looked = [looker.look(path) for folder in folders for path in list_images(folder)]
     kept = {name: np.stack([one[name] for one in looked]) for name in looked[0]}
     floor, whole, both = (
-        recall(places.vectors, margin=1) for places in (part(kept, "floor"), part(kept, "whole"), joint.unite(kept))
+        recall(places.vectors, margin=2) for places in (part(kept, "floor"), part(kept, "whole"), joint.unite(kept))
     )
-    assert both > whole - 0.02 and whole > 0.7 > 0.3 > floor
+    assert both >= whole > 0.7 > 0.3 > floor
