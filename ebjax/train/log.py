@@ -21,10 +21,9 @@ class Log:
     Args:
       out: its folder.
       step: that it begins after.
-      events: whether TensorBoard's are written too.
+      events: whether TensorBoard's are written too; needs tensorboardX.
 
     Raises:
-      ValueError: they are wanted and tensorboardX is not installed.
       OSError: nothing can be written there.
     """
 
@@ -58,11 +57,9 @@ class _Events:
     """A file of TensorBoard's records, each whole when `write` returns: tensorboardX's own writer may lose the last."""
 
     def __init__(self, folder: Path, step: int):
-        try:
-            from tensorboardX.proto import event_pb2, summary_pb2
-            from tensorboardX.record_writer import masked_crc32c
-        except ImportError:
-            raise ValueError('loop.tensorboard needs tensorboardX: pip install "ebjax[train]"') from None
+        from tensorboardX.proto import event_pb2, summary_pb2
+        from tensorboardX.record_writer import masked_crc32c
+
         self._event, self._summary, self._check = event_pb2.Event, summary_pb2.Summary, masked_crc32c
         folder.mkdir(parents=True, exist_ok=True)
         self._path = folder / f"events.out.tfevents.{time.time():.6f}.ebjax"

@@ -7,6 +7,7 @@ the numbers it would have had. Checkpoints are Orbax's, renamed into place whole
 import contextlib
 import dataclasses
 import errno
+import importlib.util
 import json
 import logging
 import os
@@ -133,6 +134,8 @@ def check(config: LoopConfig) -> None:
     for name in ("steps", "validate_every", "patience"):
         if getattr(config, name) < 1:
             raise ValueError(f"loop.{name} is {getattr(config, name)}: needs 1 or more")
+    if config.tensorboard and importlib.util.find_spec("tensorboardX") is None:
+        raise ValueError('loop.tensorboard needs tensorboardX: pip install "ebjax[train]"')
 
 
 def _numbers(config: LoopConfig) -> dict[str, Any]:

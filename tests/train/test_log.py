@@ -5,6 +5,7 @@ import sys
 import pytest
 
 from ebjax.train.log import Log
+from ebjax.train.loop import LoopConfig, check
 
 
 def read_events(folder):
@@ -39,9 +40,13 @@ def test_lines_and_events_say_the_same_and_what_came_later_is_taken_away(tmp_pat
     assert purged == [2]
 
 
-def test_without_tensorboardx_it_says_what_to_install(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "tensorboardX.record_writer", None)
+def test_without_tensorboardx_it_says_what_to_install_before_any_work(monkeypatch):
+    monkeypatch.setitem(sys.modules, "tensorboardX", None)
     with pytest.raises(ValueError, match=r"ebjax\[train\]"):
-        Log(tmp_path, 0, events=True)
+        check(LoopConfig(tensorboard=True))
+    check(LoopConfig())
+
+
+def test_no_events_unless_wanted(tmp_path):
     Log(tmp_path, 0, events=False).write(1, "step", {"loss": 1.0}, 0.0)
     assert not (tmp_path / "events").exists()
