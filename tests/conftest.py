@@ -15,7 +15,7 @@ DATA = Path(os.environ.get("EBJAX_DATA", Path(__file__).parents[2] / "shared" / 
 
 @pytest.fixture(scope="module", autouse=True)
 def room_for_programs():
-    """Drops compiled programs long before their memory maps reach Linux' limit for a process, where XLA crashes."""
+    """Drops compiled programs long before their memory maps reach Linux' limit for a process."""
     yield
     if MOST_MAPS.exists() and 4 * MAPS.read_bytes().count(b"\n") > int(MOST_MAPS.read_text()):
         jax.clear_caches()

@@ -10,7 +10,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from flax import nnx
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, ArrayLike, Bool, Float
 
 from ebjax.models.floornet import FloorMaps, FloorNet, fitted, open_floornet
 from ebjax.models.luma import luma
@@ -28,7 +28,7 @@ class Looked:
 
 
 class Eye:
-    """The network with its weights. It remembers the maps of the view that it was last called with, by identity.
+    """The network with its weights. It remembers the maps of the JAX array that it was last called with, by identity.
 
     Args:
       network: floornet.
@@ -40,17 +40,21 @@ class Eye:
         self._graph, self._state = nnx.split(network)
         self._last: tuple[Any, Any, Looked] | None = None
 
-    def __call__(self, view: Float[Array, "H W 3"], seen: Bool[Array, "H W"]) -> Looked:
+    def __call__(self, view: Float[ArrayLike, "H W 3"], seen: Bool[ArrayLike, "H W"]) -> Looked:
         """Looks at a view.
 
         Args:
           view: RGB in [0, 1].
           seen: what of it is floor.
         """
-        if self._last is None or self._last[0] is not view or self._last[1] is not seen:
-            # The weights are arguments of one program: as constants in it they would be compiled.
-            self._last = view, seen, _look(self._graph, self._state, jnp.asarray(view), jnp.asarray(seen))
-        return self._last[2]
+        # A NumPy array may have other values when it comes again.
+        frozen = isinstance(view, jax.Array) and isinstance(seen, jax.Array)
+        if frozen and self._last is not None and self._last[0] is view and self._last[1] is seen:
+            return self._last[2]
+        # The weights are arguments of one program: as constants in it they would be compiled.
+        looked = _look(self._graph, self._state, jnp.asarray(view), jnp.asarray(seen))
+        self._last = view, seen, looked
+        return looked
 
 
 @functools.cache

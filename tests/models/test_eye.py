@@ -19,4 +19,8 @@ def test_places_and_features_of_one_view_need_one_pass(monkeypatch):
     again = place.look(view + 0, seen, None)
     assert len(calls) == 2
     np.testing.assert_array_equal(kept["map"], again["map"])
+    buffer, field = np.array(view), np.array(seen)
+    first = np.asarray(eye(buffer, field).places)
+    buffer[:] = buffer[::-1]
+    assert np.abs(np.asarray(eye(buffer, field).places) - first).max() > 0.01
     assert found.descriptors.shape[1] == 64 and bool(found.valid.any())
