@@ -12,13 +12,14 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.custom_derivatives import SymbolicZero
 
 from ebjax.posegraph.assembly import assemble, matvec
-from ebjax.posegraph.factors import edge_costs, edge_gradients, exact_blocks
+from ebjax.posegraph.factors import edge_costs, exact_blocks, gradient_change
 from ebjax.posegraph.gnc import GRADUATED, graduate
 from ebjax.posegraph.graph import PoseGraph
 from ebjax.posegraph.levenberg import minimise
-from ebjax.posegraph.linear import refined_solve
+from ebjax.posegraph.linear import linear_solve
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0, 1, 2, 3, 4))
@@ -41,7 +42,6 @@ def optimum(
     return solution.poses, solution.cost, solution.initial_cost, solution.iterations, solution.status
 
 
-@optimum.defjvp
 def _optimum_jvp(group, kernel, max_steps, rtol, report, primals, tangents):
     params, rest = primals
     solution = optimum(group, kernel, max_steps, rtol, report, params, rest)
@@ -49,32 +49,33 @@ def _optimum_jvp(group, kernel, max_steps, rtol, report, primals, tangents):
     graph = PoseGraph(params[0], i, j, params[1], params[2], robust, structure.fixed, group)
     lie = graph.lie
     fixed = jnp.asarray(graph.fixed)
+    change = [None if isinstance(t, SymbolicZero) else t for t in tangents[0]]
+    if change[0] is not None:
+        change[0] = jnp.where(fixed[:, None], change[0], 0)
 
-    def with_params(params):
-        poses, measured, information, _ = params
-        poses = jnp.where(fixed[:, None], poses, solution[0])
-        return replace(graph, poses=poses, measured=measured, information=information)
-
-    def gradient(params):
-        at = with_params(params)
-        gi, gj = edge_gradients(at, at.poses, kernel, params[3])
-        total = jnp.zeros((len(fixed), lie.dim), gi.dtype).at[graph.i].add(gi).at[graph.j].add(gj)
-        return jnp.where(fixed[:, None], 0, total)
-
-    def moved(params, delta):
-        at = with_params(params)
-        poses = lie.compose(at.poses, lie.exp(delta))
-        return poses, jnp.sum(edge_costs(at, poses, kernel, params[3]))
-
-    _, right = jax.jvp(gradient, (params,), (tangents[0],))
-    blocks = exact_blocks(with_params(params), solution[0], kernel, params[3])
+    blocks, sensitivity = exact_blocks(graph, solution[0], kernel, params[3])
+    gi, gj = gradient_change(graph, solution[0], kernel, params[3], sensitivity, tuple(change))
+    right = jnp.zeros((len(fixed), lie.dim), gi.dtype).at[graph.i].add(gi).at[graph.j].add(gj)
     system, _ = assemble(graph, structure.pattern, blocks, ~fixed)
     delta = jax.lax.custom_linear_solve(
         lambda x: matvec(system, structure.pattern, x),
-        -right,
-        lambda _, b: refined_solve(structure, system, b),
+        jnp.where(fixed[:, None], 0, -right),
+        lambda _, b: linear_solve(structure, system, b),
         symmetric=True,
     )
-    _, (poses_dot, cost_dot) = jax.jvp(moved, (params, jnp.zeros_like(delta)), (tangents[0], delta))
+
+    def moved(delta, *changed):
+        values = iter(changed)
+        at = [p if t is None else next(values) for p, t in zip((solution[0], *params[1:]), change, strict=True)]
+        poses = lie.compose(at[0], lie.exp(delta))
+        costs = edge_costs(replace(graph, measured=at[1], information=at[2]), poses, kernel, at[3])
+        return poses, jnp.sum(costs)
+
+    live = [(p, t) for p, t in zip((solution[0], *params[1:]), change, strict=True) if t is not None]
+    points, directions = zip((jnp.zeros_like(delta), delta), *live, strict=True)
+    _, (poses_dot, cost_dot) = jax.jvp(moved, points, directions)
     none = np.zeros((), jax.dtypes.float0)
     return solution, (poses_dot, cost_dot, jnp.zeros_like(solution[2]), none, none)
+
+
+optimum.defjvp(_optimum_jvp, symbolic_zeros=True)

@@ -58,12 +58,12 @@ def _mv(a, b):
 
 
 def _terms(graph, poses):
-    """Residual, transposed Jacobian of the log, and transposed adjoint of j_from_i, per edge."""
+    """i_from_j, residual, transposed Jacobian of the log, and transposed adjoint of j_from_i, per edge."""
     lie = graph.lie
     i_from_j = _once(lie.compose(lie.inverse(poses[graph.i]), poses[graph.j]))
     r = _once(lie.log(lie.compose(lie.inverse(jnp.asarray(graph.measured)), i_from_j)))
     jb_t = _once(lie.log_jacobian(r).swapaxes(-1, -2))
-    return r, jb_t, _once(lie.adjoint(lie.inverse(i_from_j)).swapaxes(-1, -2))
+    return i_from_j, r, jb_t, _once(lie.adjoint(lie.inverse(i_from_j)).swapaxes(-1, -2))
 
 
 def _edge_weight(graph, s, kernel, width):
@@ -82,7 +82,7 @@ def gauss_newton_blocks(
     Where `bent`, W takes in the kernel's curvature, 2 rho''(s) information r r^T information, as far as it leaves W
     positive semidefinite: near the optimum that saves most of the steps which reweighting alone needs.
     """
-    r, jb_t, ad_t = _terms(graph, poses)
+    _, r, jb_t, ad_t = _terms(graph, poses)
     pulled = _mv(graph.information, r)
     s = jnp.sum(r * pulled, -1)
     scale, bend = _slopes(graph, s, kernel, width)
@@ -105,17 +105,23 @@ def _spread(jj, cross, ad_t, gj):
     return EdgeBlocks(small_matmul(small_matmul(ad_t, jj), ad_t.swapaxes(-1, -2)), ij, jj, -_mv(ad_t, gj), gj)
 
 
-def edge_gradients(
+class Sensitivity(NamedTuple):
+    """What `gradient_change` shares with `exact_blocks`, per edge: g_j = jb_t force(r), and its derivative by r."""
+
+    i_from_j: Float[Array, "E P"]
+    r: Float[Array, "E d"]
+    pulled: Float[Array, "E d"]
+    scale: Float[Array, " E"]
+    bend: Float[Array, " E"]
+    jb_t: Float[Array, "E d d"]
+    ad_t: Float[Array, "E d d"]
+    by_r: Float[Array, "E d d"]
+    gj: Float[Array, "E d"]
+
+
+def exact_blocks(
     graph: PoseGraph, poses: Float[Array, "N P"], kernel: str, width: Width
-) -> tuple[Float[Array, "E d"], Float[Array, "E d"]]:
-    """Gradient of half the cost with respect to both poses of every edge; differentiable in all of the graph."""
-    r, jb_t, ad_t = _terms(graph, poses)
-    scale = _edge_weight(graph, _quadratic(r, graph.information), kernel, width)
-    gj = _mv(jb_t, scale[:, None] * _mv(graph.information, r))
-    return -_mv(ad_t, gj), gj
-
-
-def exact_blocks(graph: PoseGraph, poses: Float[Array, "N P"], kernel: str, width: Width) -> EdgeBlocks:
+) -> tuple[EdgeBlocks, Sensitivity]:
     """Blocks of the true Hessian of half the cost, the curvature of the kernel and of the residual included.
 
     With g(r) = Jr^-T rho' information r the gradient at pose j, the Hessian there is the symmetric part of
@@ -123,16 +129,57 @@ def exact_blocks(graph: PoseGraph, poses: Float[Array, "N P"], kernel: str, widt
     bracket adds half of its matrix.
     """
     lie = graph.lie
-    r, jb_t, ad_t = _terms(graph, poses)
+    i_from_j, r, jb_t, ad_t = _terms(graph, poses)
     pulled = _mv(graph.information, r)
     s = jnp.sum(r * pulled, -1)
     scale, bend = _slopes(graph, s, kernel, width)
     force = _once(scale[:, None] * pulled)
     metric = graph.information * scale[:, None, None]
     metric = _once(metric + 2 * bend[:, None, None] * pulled[:, :, None] * pulled[:, None, :])
-    turn = lie.log_jacobian_turn(r, force)
-    jj = _once(small_matmul(_once(turn + small_matmul(jb_t, metric)), jb_t.swapaxes(-1, -2)))
+    by_r = _once(lie.log_jacobian_turn(r, force) + small_matmul(jb_t, metric))
+    jj = _once(small_matmul(by_r, jb_t.swapaxes(-1, -2)))
     gj = _once(_mv(jb_t, force))
     halves = jnp.asarray(lie.bracket / 2, r.dtype)[None]
     bracket = sum(halves[..., m] * gj[:, m, None, None] for m in range(lie.dim))
-    return _spread(_once(jj + bracket), _once(jj + 2 * bracket), ad_t, gj)
+    blocks = _spread(_once(jj + bracket), _once(jj + 2 * bracket), ad_t, gj)
+    return blocks, Sensitivity(i_from_j, r, pulled, scale, bend, jb_t, ad_t, by_r, gj)
+
+
+def gradient_change(
+    graph: PoseGraph,
+    poses: Float[Array, "N P"],
+    kernel: str,
+    width: Width,
+    at: Sensitivity,
+    change: tuple[Array | None, Array | None, Array | None, Array | None],
+) -> tuple[Float[Array, "E d"], Float[Array, "E d"]]:
+    """Derivative of both gradients of every edge, linear in `change` of poses, measured, information and width.
+
+    None is no change. g_i = -Ad^T g_j; what changes the residual goes through `Sensitivity.by_r`.
+    """
+    lie = graph.lie
+    d_poses, d_measured, d_information, d_width = change
+    measured = jnp.asarray(graph.measured)
+    gj_dot, gi_dot = jnp.zeros_like(at.gj), jnp.zeros_like(at.gj)
+    r_dot = None
+    if d_poses is not None:
+        _, moved = jax.jvp(lambda x: lie.compose(lie.inverse(x[graph.i]), x[graph.j]), (poses,), (d_poses,))
+        _, ad_dot = jax.jvp(lambda x: lie.adjoint(lie.inverse(x)), (at.i_from_j,), (moved,))
+        gi_dot -= _mv(ad_dot.swapaxes(-1, -2), at.gj)
+        _, r_dot = jax.jvp(lambda x: lie.log(lie.compose(lie.inverse(measured), x)), (at.i_from_j,), (moved,))
+    if d_measured is not None:
+        _, by_measured = jax.jvp(
+            lambda x: lie.log(lie.compose(lie.inverse(x), at.i_from_j)), (measured,), (d_measured,)
+        )
+        r_dot = by_measured if r_dot is None else r_dot + by_measured
+    if r_dot is not None:
+        gj_dot += _mv(at.by_r, r_dot)
+    if d_information is not None:
+        d_pulled = _mv(d_information, at.r)
+        d_scale = at.bend * jnp.sum(at.r * d_pulled, -1)
+        gj_dot += _mv(at.jb_t, d_scale[:, None] * at.pulled + at.scale[:, None] * d_pulled)
+    if d_width is not None:
+        s = jnp.sum(at.r * at.pulled, -1)
+        _, d_scale = jax.jvp(lambda w: _edge_weight(graph, s, kernel, w), (width,), (d_width,))
+        gj_dot += d_scale[:, None] * _mv(at.jb_t, at.pulled)
+    return gi_dot - _mv(at.ad_t, gj_dot), gj_dot

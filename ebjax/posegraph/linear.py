@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ebjax.posegraph import elimination, sparse
-from ebjax.posegraph.assembly import Pattern, System, matvec
+from ebjax.posegraph.assembly import Pattern, System
 from ebjax.posegraph.graph import PoseGraph, anchored
 
 SOLVERS = ("auto", "elimination", "qdldl", "cholmod")
@@ -81,11 +81,3 @@ def linear_solve(structure: Structure, system: System, right: Float[Array, "N d"
     """H^-1 right by the structure's solver."""
     module = elimination if isinstance(structure.plan, elimination.Elimination) else sparse
     return module.solve(structure.plan, system, right)
-
-
-def refined_solve(structure: Structure, system: System, right: Float[Array, "N d"]) -> Float[Array, "N d"]:
-    """H^-1 right with one step of iterative refinement."""
-    if isinstance(structure.plan, sparse.SparsePlan):
-        return sparse.solve(structure.plan, system, right, refined=True)
-    x = elimination.solve(structure.plan, system, right)
-    return x + elimination.solve(structure.plan, system, right - matvec(system, structure.pattern, x))

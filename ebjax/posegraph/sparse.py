@@ -97,7 +97,7 @@ def fill(graph: PoseGraph) -> float:
     return float(graph.lie.dim * np.sum(columns**2) / np.sum(columns))
 
 
-def _factor_and_solve(factor, refined, key, indices, indptr, values, right):
+def _factor_and_solve(factor, key, indices, indptr, values, right):
     """Batches of any of the arrays stand in front; an axis of length one is shared, and factorised once."""
     shape, dtype = np.broadcast_shapes(values.shape[:-1], right.shape[:-2]), right.dtype
     if key.size > 1:
@@ -117,33 +117,23 @@ def _factor_and_solve(factor, refined, key, indices, indptr, values, right):
             if len(values) == 1
             else [c[None] for c in np.broadcast_to(columns, (len(values), *columns.shape[1:]))]
         )
-        out = [
-            _solve_group(solver, v, c, (indices, indptr) if refined else None)
-            for v, c in zip(values, groups, strict=True)
-        ]
+        out = [_solve_group(solver, v, c) for v, c in zip(values, groups, strict=True)]
     return np.concatenate(out).reshape(*shape, *right.shape[-2:]).astype(dtype)
 
 
-def _solve_group(solver, values, columns, lower):
+def _solve_group(solver, values, columns):
     if not np.isfinite(values).all():
         return np.full_like(columns, np.nan)
     try:
         solver.factorise(values)
     except ArithmeticError:
         return np.full_like(columns, np.nan)
-    x = np.stack([solver.solve(c) for c in columns])
-    if lower is not None:
-        half = scipy.sparse.csc_array((values, *lower), shape=(columns.shape[1],) * 2)
-        product = half @ x.T + half.T @ x.T - half.diagonal()[:, None] * x.T
-        x += np.stack([solver.solve(c) for c in columns - product.T])
-    return x
+    return np.stack([solver.solve(c) for c in columns])
 
 
-def solve(
-    plan: SparsePlan, system: System, right: Float[Array, "N d"], *, refined: bool = False
-) -> Float[Array, "N d"]:
-    """H^-1 right, with one step of iterative refinement if `refined`; NaN where H is not positive definite."""
+def solve(plan: SparsePlan, system: System, right: Float[Array, "N d"]) -> Float[Array, "N d"]:
+    """H^-1 right; NaN where H is not positive definite."""
     values = jnp.concatenate([system.diagonal.ravel(), system.off.ravel()])[plan.source]
     result = jax.ShapeDtypeStruct(right.shape, right.dtype)
     arrays = (plan.key, plan.indices, plan.indptr, values, right)
-    return host_call(_factor_and_solve, (plan.factor, refined), result, *arrays)
+    return host_call(_factor_and_solve, (plan.factor,), result, *arrays)
