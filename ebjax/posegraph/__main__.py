@@ -30,7 +30,7 @@ class Config:
     """Edges the kernel applies to; loops join vertices that are not neighbours in the file."""
     init: Literal["file", "odometry", "spanning-tree", "chordal"] = "file"
     """Starting point; without vertices in the file, file means odometry."""
-    solver: Literal["auto", "elimination", "qdldl", "cholmod"] = "auto"
+    solver: Literal["auto", "elimination", "qdldl", "supernodal", "cholmod"] = "auto"
     """Linear solver of a step."""
     max_steps: int = 200
     """Steps tried at most."""
@@ -64,7 +64,7 @@ class BenchConfig:
     """Graphs of 500 poses solved together; 0 leaves them out."""
     turns: int = 5
     """Every figure is the median of so many turns."""
-    solver: Literal["auto", "elimination", "qdldl", "cholmod"] = "auto"
+    solver: Literal["auto", "elimination", "qdldl", "supernodal", "cholmod"] = "auto"
     """Linear solver of a step."""
 
 

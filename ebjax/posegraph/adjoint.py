@@ -54,7 +54,7 @@ def _optimum_jvp(group, kernel, max_steps, rtol, report, primals, tangents):
         change[0] = jnp.where(fixed[:, None], change[0], 0)
 
     blocks, sensitivity = exact_blocks(graph, solution[0], kernel, params[3])
-    gi, gj = gradient_change(graph, solution[0], kernel, params[3], sensitivity, tuple(change))
+    gi, gj = gradient_change(graph, solution[0], kernel, params[3], sensitivity, change)
     right = jnp.zeros((len(fixed), lie.dim), gi.dtype).at[graph.i].add(gi).at[graph.j].add(gj)
     system, _ = assemble(graph, structure.pattern, blocks, ~fixed)
     delta = jax.lax.custom_linear_solve(

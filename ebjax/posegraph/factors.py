@@ -4,6 +4,7 @@ With A = world_from_i, B = world_from_j and perturbations on the right, dr/dB = 
 dr/dA = -Jr^-1(r) Ad(j_from_i), so everything follows from one d x d product per edge.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -151,7 +152,7 @@ def gradient_change(
     kernel: str,
     width: Width,
     at: Sensitivity,
-    change: tuple[Array | None, Array | None, Array | None, Array | None],
+    change: Sequence[Array | None],
 ) -> tuple[Float[Array, "E d"], Float[Array, "E d"]]:
     """Derivative of both gradients of every edge, linear in `change` of poses, measured, information and width.
 

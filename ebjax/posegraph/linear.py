@@ -17,9 +17,9 @@ from ebjax.posegraph import elimination, sparse
 from ebjax.posegraph.assembly import Pattern, System
 from ebjax.posegraph.graph import PoseGraph, anchored
 
-SOLVERS = ("auto", "elimination", "qdldl", "cholmod")
+SOLVERS = ("auto", "elimination", "qdldl", "supernodal", "cholmod")
 LARGEST_CORE = 400
-SUPERNODAL_FILL = 40.0
+WORTH_DENSE = {"cholmod": 40.0, "supernodal": 100.0}  # fill from which dense blocks are faster than qdldl
 _STRUCTURES: OrderedDict[bytes, "Structure"] = OrderedDict()
 _KEPT = 32
 
@@ -37,8 +37,9 @@ def analyse(graph: PoseGraph, solver: str = "auto") -> Structure:
 
     Args:
       graph: its `i`, `j`, `fixed` must be concrete (not traced); the other fields may be anything.
-      solver: "elimination", "qdldl", "cholmod", or "auto": on a GPU or TPU elimination if its dense core has at most
-        `LARGEST_CORE` unknowns; else CHOLMOD where it is installed and the fill is worth it; else qdldl.
+      solver: "elimination", "qdldl", "supernodal", "cholmod", or "auto": on a GPU or TPU elimination if its dense core
+        has at most `LARGEST_CORE` unknowns; else, where there is much fill, CHOLMOD if it is installed, or supernodal;
+        else qdldl.
 
     Raises:
       ValueError: unknown solver, one that is not installed, or traced edges.
@@ -73,7 +74,8 @@ def _analyse(graph, solver):
     if solver == "cholmod" and not has_cholmod:
         raise ValueError('solver cholmod is not installed; run: pip install "ebjax[cholmod]"')
     if solver == "auto":
-        solver = "cholmod" if has_cholmod and sparse.fill(graph) > SUPERNODAL_FILL else "qdldl"
+        fill, dense = sparse.fill(graph), "cholmod" if has_cholmod else "supernodal"
+        solver = dense if fill > WORTH_DENSE[dense] else "qdldl"
     return Structure(*sparse.analyse(graph, solver), graph.fixed)
 
 

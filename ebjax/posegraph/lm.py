@@ -47,7 +47,7 @@ def solve(
         that cut off the root of the 99.9 % point of chi-square with as many degrees of freedom as a pose.
       max_steps: steps tried at most, accepted or not.
       rtol: the loop ends when a step lowers the cost, and promised to lower it, by less than this share.
-      solver: "auto", "elimination", "qdldl" or "cholmod"; see `ebjax.posegraph.linear.analyse`.
+      solver: "auto", "elimination", "qdldl", "supernodal" or "cholmod"; see `ebjax.posegraph.linear.analyse`.
       structure: the result of `analyse(graph)`, needed where `i`, `j` or `fixed` are traced.
       report: called on the host after every step with (step, cost tried, whether accepted, damping).
 

@@ -2,7 +2,7 @@
 
 Called from compiled code; under vmap the matrices are factorised one by one, and right sides
 that share a matrix share its factor. The symbolic factor is made once per sparsity pattern and kept. The factorisations
-themselves are `ebjax.posegraph.ldl` and `ebjax.posegraph.cholmod`.
+themselves are `ebjax.posegraph.ldl`, `ebjax.posegraph.supernodal` and `ebjax.posegraph.cholmod`.
 """
 
 import importlib
@@ -23,7 +23,11 @@ from ebjax.posegraph.assembly import Pattern, System, make_pattern
 from ebjax.posegraph.graph import PoseGraph
 from ebjax.posegraph.host import host_call
 
-FACTORS = {"qdldl": "ebjax.posegraph.ldl:Factor", "cholmod": "ebjax.posegraph.cholmod:Factor"}
+FACTORS = {
+    "qdldl": "ebjax.posegraph.ldl:Factor",
+    "supernodal": "ebjax.posegraph.supernodal:Factor",
+    "cholmod": "ebjax.posegraph.cholmod:Factor",
+}
 
 
 @typing.no_type_check  # equinox puts booleans in place of arrays

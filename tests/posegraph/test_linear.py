@@ -31,7 +31,7 @@ def edges(kind, n=150):
 
 
 @pytest.mark.parametrize("kind", ["chain", "ring", "tree", "pieces", "loops", "dense"])
-@pytest.mark.parametrize("solver", ["elimination", "qdldl", "cholmod"])
+@pytest.mark.parametrize("solver", ["elimination", "qdldl", "supernodal", "cholmod"])
 def test_solves_what_a_dense_factorisation_solves(kind, solver):
     if solver == "cholmod":
         pytest.importorskip("cvxopt")
@@ -65,6 +65,10 @@ def chain(loops, seed=0, n=1000):
 
 def test_auto_takes_what_is_fastest_on_the_device(monkeypatch):
     assert analyse(chain(10)).plan.factor == "qdldl"
+    rng = np.random.default_rng(0)
+    tangle = (rng.integers(0, 400, 1200), rng.integers(0, 400, 1200))
+    dense = make_graph(np.zeros((400, 3)), *tangle, np.zeros((1200, 3)), np.broadcast_to(np.eye(3), (1200, 3, 3)))
+    assert analyse(dense).plan.factor in ("supernodal", "cholmod")
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     assert type(analyse(chain(11)).plan).__name__ == "Elimination"
     assert type(analyse(chain(900)).plan).__name__ == "SparsePlan"
@@ -76,7 +80,7 @@ def test_other_loops_compile_nothing(solver):
     assert all(shape == shapes[0] for shape in shapes)
 
 
-@pytest.mark.parametrize("solver", ["qdldl", "cholmod"])
+@pytest.mark.parametrize("solver", ["qdldl", "supernodal", "cholmod"])
 def test_right_sides_share_a_factor(solver, monkeypatch):
     if solver == "cholmod":
         pytest.importorskip("cvxopt")

@@ -12,7 +12,7 @@ from ebjax.posegraph.factors import edge_costs
 
 
 @pytest.mark.parametrize("kernel", ["none", "cauchy"])
-@pytest.mark.parametrize("solver", ["elimination", "qdldl", "cholmod"])
+@pytest.mark.parametrize("solver", ["elimination", "qdldl", "supernodal", "cholmod"])
 def test_reaches_the_optimum_of_scipy(ring, kernel, solver):
     if solver == "cholmod":
         pytest.importorskip("cvxopt")

@@ -9,7 +9,7 @@ from ebjax.posegraph import add_priors, marginals, solve
 from ebjax.posegraph.factors import edge_residual
 
 
-@pytest.mark.parametrize("solver", ["elimination", "qdldl", "cholmod"])
+@pytest.mark.parametrize("solver", ["elimination", "qdldl", "supernodal", "cholmod"])
 @pytest.mark.parametrize("group", ["se2", "se3"])
 def test_blocks_of_the_inverse_hessian(ring, group, solver):
     if solver == "cholmod":
