@@ -22,6 +22,7 @@ from ebjax.posegraph.robust import Graduated, chi_square_999
 GRADUATED = ("gnc-tls", "gnc-gm", "consensus")
 _STEPS = 4  # at one softness
 _RTOL = 1e-2
+_RECALL = 7.0  # softness at which edges up to eight times beyond the squared width still pull
 _SHARP = 1 / 16  # a softness below this is as good as none
 
 
@@ -32,7 +33,7 @@ class _State(NamedTuple):
     short: Bool[Array, ""]
 
 
-_FIT, _HARDEN, _SHARPEN, _DONE = range(4)
+_FIT, _HARDEN, _AGAIN, _SHARPEN, _DONE = range(5)
 
 
 def graduate(
@@ -47,6 +48,8 @@ def graduate(
 ) -> Solution:
     """As `levenberg.minimise`, for the kernels in `GRADUATED`; an edge of width 0 does not count.
 
+    The kernel hardens twice, the second time from `_RECALL` only, so that edges lost on the way are heard again.
+
     Where `first` is given least squares on all edges comes first: if they pass the chi-square test together and each
     robust one lies within `width`, nothing is to be doubted. Else the kernel hardens at the width `first`. Either is
     the start for the sharp kernel at `width`. Up to `max_steps` steps are tried while the kernel hardens, as many at
@@ -56,7 +59,7 @@ def graduate(
     robust, limits = jnp.asarray(graph.robust), jnp.finfo(start.dtype)
     final = jnp.broadcast_to(jnp.asarray(width, start.dtype), robust.shape)
     hard = final if first is None else first
-    widths = jnp.stack([jnp.full_like(final, jnp.sqrt(limits.max) / 2), hard, final])
+    widths = jnp.stack([jnp.full_like(final, jnp.sqrt(limits.max) / 2), hard, hard, final])
     freedom = graph.lie.dim * (robust.size - jnp.sum(~jnp.asarray(graph.fixed)))
 
     def worst(poses, width):
@@ -67,7 +70,8 @@ def graduate(
     softest = jnp.maximum(2 * worst(start, hard) - 1, 0)
 
     def step(state):
-        fitting, hardening = state.stage == _FIT, state.stage == _HARDEN
+        fitting = state.stage == _FIT
+        hardening = (state.stage == _HARDEN) | (state.stage == _AGAIN)
         found = minimise(
             replace(graph, poses=state.found.poses),
             structure,
@@ -80,9 +84,10 @@ def graduate(
         tried = state.found.iterations + found.iterations
         short = state.short | (hardening & (tried >= max_steps))
         fits = (found.cost <= chi_square_999(freedom)) & (worst(found.poses, final) <= 1)
-        harder = jnp.where(short | (state.softness < 2 * _SHARP), 0, state.softness / 2)
-        softness = jnp.where(fitting, jnp.where(fits, 0, softest), harder)
-        stage = jnp.where(state.stage == _SHARPEN, _DONE, jnp.where(softness > 0, _HARDEN, _SHARPEN))
+        hard_enough = ~hardening | short | (state.softness < 2 * _SHARP)
+        stage = jnp.where(fitting & fits, _SHARPEN, state.stage + hard_enough)
+        fresh = jnp.stack([0, softest, _RECALL, 0, 0]).astype(start.dtype)[stage]
+        softness = jnp.where(hard_enough, fresh, state.softness / 2)
         poses = jnp.where(fitting & ~fits, start, found.poses)
         found = replace(found, poses=poses, initial_cost=state.found.initial_cost, iterations=tried)
         return _State(found, softness, stage.astype(jnp.int32), short)
@@ -91,7 +96,7 @@ def graduate(
     before = jnp.sum(edge_costs(graph, start, kernel, width))
     begin = Solution(start, zero, before, none, none)
     if first is None:
-        state = _State(begin, softest, none + _HARDEN, jnp.asarray(False))
+        state = _State(begin, softest, jnp.where(softest > 0, _HARDEN, _SHARPEN).astype(jnp.int32), jnp.asarray(False))
     else:
         state = _State(begin, zero, none + _FIT, jnp.asarray(False))
     end = jax.lax.while_loop(lambda state: state.stage < _DONE, step, state)

@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from ebjax.evaluation.trajectory import arc_length_association, ate
+from ebjax.io.trajectory import read
 from ebjax.posegraph import STATUS, solve
 from ebjax.posegraph.bench import corridor
 from ebjax.posegraph.consensus import believed
 from ebjax.posegraph.falseloops import add_false_loops, error_m, loops_of
+from ebjax.posegraph.g2o import read_g2o
 from ebjax.posegraph.init import odometry
 from ebjax.posegraph.lm import cut_off
 from ebjax.posegraph.robust import chi_square_999
@@ -85,6 +88,27 @@ def test_what_the_solution_leaves_out_can_be_asked_for(run):
     np.testing.assert_array_equal(cut_off(graph, found.poses, kernel="consensus"), false)
     assert not cut_off(graph, found.poses, kernel="cauchy").any()
     assert cut_off(graph, found.poses, kernel="tls", width=1e-6)[599:].all()
+
+
+@pytest.mark.parametrize("name", ["lessNoise", "CSAIL"])
+def test_a_real_graph_without_false_loops_is_least_squares(data, name):
+    folder = "d5_pose_graph" if name == "lessNoise" else "pose_graphs_g2o"
+    graph, _ = read_g2o(data(f"{folder}/{name}.g2o"))
+    graph = replace(graph, poses=odometry(graph), robust=loops_of(graph))
+    clean = solve(graph, kernel="none").poses
+    assert error_m(solve(graph, kernel="consensus").poses, clean, "se2") < 1e-4
+
+
+def test_a_real_graph_whose_loops_contradict_each_other_comes_nearer_to_the_truth(data):
+    graph, _ = read_g2o(data("d5_pose_graph/vpr.g2o"))
+    graph = replace(graph, robust=loops_of(graph))
+    truth = read(str(data("d5_pose_graph/denseGt2.kitti.gz"))).poses[:, :3, 3]
+
+    def error(kernel):
+        xy = np.asarray(solve(graph, kernel=kernel).poses)[:, :2]
+        return ate(*arc_length_association(truth, np.pad(xy, ((0, 0), (0, 1))), 1500), "se2", None)["rmse"]
+
+    assert error("consensus") < error("cauchy") < error("none")
 
 
 def test_chi_square_point():
