@@ -23,14 +23,20 @@ class Group(NamedTuple):
     adjoint: Callable
     log_jacobian: Callable
     log_jacobian_turn: Callable
+    left_tangent: Callable
     normalise: Callable
     identity: tuple[float, ...]
     bracket: np.ndarray
 
 
-_SE2 = (se2.compose, se2.inverse, se2.exp, se2.log, se2.adjoint, se2.log_jacobian, se2.log_jacobian_turn, se2.normalise)
-_SE3 = (se3.compose, se3.inverse, se3.exp, se3.log, se3.adjoint, se3.log_jacobian, se3.log_jacobian_turn, se3.normalise)
+def _group(module, identity):
+    names = ("compose", "inverse", "exp", "log", "adjoint", "log_jacobian", "log_jacobian_turn", "left_tangent")
+    functions = {name: getattr(module, name) for name in (*names, "normalise")}
+    bracket = module.bracket()
+    return Group(size=len(identity), dim=len(bracket), identity=identity, bracket=bracket, **functions)
+
+
 GROUPS = {
-    "se2": Group(3, 3, *_SE2, (0.0, 0.0, 0.0), se2.bracket()),
-    "se3": Group(7, 6, *_SE3, (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), se3.bracket()),
+    "se2": _group(se2, (0.0, 0.0, 0.0)),
+    "se3": _group(se3, (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)),
 }

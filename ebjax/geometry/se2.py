@@ -72,6 +72,12 @@ def log_jacobian_turn(tangent: Float[Array, "*b 3"], covector: Float[Array, "*b 
     )
 
 
+def left_tangent(pose: Float[Array, "*b 3"], change: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
+    """The tangent d of the change of a pose's numbers: pose + change is exp(d) * pose to first order."""
+    x, y, turn = change[..., 0], change[..., 1], change[..., 2]
+    return once(jnp.stack([x + turn * pose[..., 1], y - turn * pose[..., 0], turn], -1))
+
+
 def normalise(pose: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
     """Wraps the angle."""
     return once(jnp.concatenate([pose[..., :2], wrap_angle(pose[..., 2:])], -1))

@@ -158,6 +158,15 @@ def log_jacobian_turn(tangent: Float[Array, "*b 6"], covector: Float[Array, "*b 
     return once(jnp.concatenate(rows, -2))
 
 
+def left_tangent(pose: Float[Array, "*b 7"], change: Float[Array, "*b 7"]) -> Float[Array, "*b 6"]:
+    """The tangent d of the change of a pose's numbers: pose + change is exp(d) * pose to first order.
+
+    What would only lengthen the quaternion does not count.
+    """
+    w = 2 * quaternion_multiply(change[..., :4], _conjugate(pose[..., :4]))[..., 1:]
+    return once(jnp.concatenate([change[..., 4:] - jnp.cross(w, pose[..., 4:]), w], -1))
+
+
 def normalise(pose: Float[Array, "*b 7"]) -> Float[Array, "*b 7"]:
     """Makes the quaternion a unit one."""
     q = pose[..., :4] / jnp.linalg.norm(pose[..., :4], axis=-1, keepdims=True)

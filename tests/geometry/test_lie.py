@@ -72,6 +72,18 @@ def test_second_derivatives_hold_at_every_angle(group):
         np.testing.assert_allclose(hessian[..., k], (slope(step, xi) - slope(-step, xi)) / (2 * h), atol=2e-9)
 
 
+@pytest.mark.parametrize("group", ["se2", "se3"])
+def test_left_tangent_is_the_change_of_the_pose(group):
+    g, rng = lie.GROUPS[group], np.random.default_rng(3)
+    pose = g.exp(jnp.asarray(rng.normal(size=(20, g.dim))))
+    tangent = jnp.asarray(rng.normal(size=(20, g.dim)))
+    _, change = jax.jvp(lambda t: g.compose(g.exp(t * tangent), pose), (0.0,), (1.0,))
+    np.testing.assert_allclose(g.left_tangent(pose, change), tangent, atol=1e-12)
+    if group == "se3":
+        longer = change + pose * jnp.array([1.0, 1, 1, 1, 0, 0, 0])[None]
+        np.testing.assert_allclose(g.left_tangent(pose, longer), tangent, atol=1e-12)
+
+
 def test_se2_log_has_its_known_second_derivatives_at_zero():
     hessian = jax.hessian(se2.log)(jnp.array([0.7, -0.4, 0.0]))
     assert hessian[0, 2, 2] == pytest.approx(-0.7 / 6, abs=1e-14)  # the cotangent's first term, theta^2 / 12
