@@ -64,16 +64,14 @@ def _optimum_jvp(group, kernel, max_steps, rtol, report, primals, tangents):
         symmetric=True,
     )
 
-    def moved(delta, *changed):
-        values = iter(changed)
-        at = [p if t is None else next(values) for p, t in zip((solution[0], *params[1:]), change, strict=True)]
-        poses = lie.compose(at[0], lie.exp(delta))
-        costs = edge_costs(replace(graph, measured=at[1], information=at[2]), poses, kernel, at[3])
+    def moved(delta, poses, measured, information, width):
+        poses = lie.compose(poses, lie.exp(delta))
+        costs = edge_costs(replace(graph, measured=measured, information=information), poses, kernel, width)
         return poses, jnp.sum(costs)
 
-    live = [(p, t) for p, t in zip((solution[0], *params[1:]), change, strict=True) if t is not None]
-    points, directions = zip((jnp.zeros_like(delta), delta), *live, strict=True)
-    _, (poses_dot, cost_dot) = jax.jvp(moved, points, directions)
+    at = (jnp.zeros_like(delta), solution[0], *params[1:])
+    change = [jnp.zeros_like(p) if t is None else t for p, t in zip(at[1:], change, strict=True)]
+    _, (poses_dot, cost_dot) = jax.jvp(moved, at, (delta, *change))
     none = np.zeros((), jax.dtypes.float0)
     return solution, (poses_dot, cost_dot, jnp.zeros_like(solution[2]), none, none)
 

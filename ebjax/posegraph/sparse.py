@@ -15,13 +15,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.sparse
 from jaxtyping import Array, Float, Int
-from scipy.sparse.linalg import splu
 
 from ebjax.posegraph.assembly import Pattern, System, make_pattern
 from ebjax.posegraph.graph import PoseGraph
 from ebjax.posegraph.host import host_call
+from ebjax.posegraph.supernodal import minimum_degree
 
 FACTORS = {
     "qdldl": "ebjax.posegraph.ldl:Factor",
@@ -91,12 +90,7 @@ def fill(graph: PoseGraph) -> float:
 
     Counted on the graph of poses under SuperLU's minimum degree ordering.
     """
-    n, i, j = len(graph.fixed), np.asarray(graph.i), np.asarray(graph.j)
-    ones = np.ones(len(i))
-    links = scipy.sparse.coo_matrix((ones, (i, j)), shape=(n, n))
-    matrix = scipy.sparse.diags_array(2.0 * np.bincount(np.concatenate([i, j]), minlength=n) + 1) - links - links.T
-    options = {"SymmetricMode": True}
-    factor = splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options).L
+    factor = minimum_degree(len(graph.fixed), np.asarray(graph.i), np.asarray(graph.j)).L
     columns = np.diff(factor.indptr).astype(float)
     return float(graph.lie.dim * np.sum(columns**2) / np.sum(columns))
 

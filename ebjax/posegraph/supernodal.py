@@ -11,10 +11,18 @@ import numpy as np
 import scipy.sparse
 from jaxtyping import Float, Int
 from scipy.linalg import blas, lapack
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import SuperLU, splu
 
 _CALLS = 2e5  # operations that take as long as the calls for one more front
 _RUN = 10  # entries; shorter runs are added faster one by one
+
+
+def minimum_degree(nodes: int, i: Int[np.ndarray, " E"], j: Int[np.ndarray, " E"]) -> SuperLU:
+    """SuperLU's factor of a graph's Laplacian in minimum degree order: `perm_c` is the place of every node."""
+    link = scipy.sparse.coo_matrix((np.ones(len(i)), (i, j)), (nodes, nodes))
+    matrix = scipy.sparse.diags_array(2.0 * np.bincount(np.append(i, j), minlength=nodes) + 1) - link - link.T
+    options = {"SymmetricMode": True}
+    return splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
 
 
 class _Child(NamedTuple):
@@ -100,21 +108,13 @@ def _analyse(indices, indptr):
     nodes = len(start)
     node = np.repeat(np.arange(nodes), size)
     count = np.diff(indptr)[start]
-    first = np.concatenate([np.arange(indptr[s], indptr[s + 1]) for s in start])
-    low, high = np.repeat(np.arange(nodes), count), node[indices[first]]
-    place = _minimum_degree(nodes, high, low)
+    low, high = np.repeat(np.arange(nodes), count), node[indices[_ranges(indptr[start], count)]]
+    place = minimum_degree(nodes, high, low).perm_c
     width = np.empty(nodes, int)
     width[place] = size
     below, children, members = _supernodes(place[low], place[high], width)
 
-    order: list[int] = []
-    stack = [(top, False) for top, _ in enumerate(members) if members[top] and not len(below[top])]
-    while stack:
-        top, ready = stack.pop()
-        if ready:
-            order.append(top)
-        else:
-            stack += [(top, True), *((child, False) for child in children[top])]
+    order = _children_first([p for p in range(nodes) if members[p] and not len(below[p])], children)
     places = [p for top in order for p in members[top]]
     node_at = np.empty(nodes, int)
     node_at[place] = np.arange(nodes)
@@ -172,12 +172,17 @@ def _nodes(indices, indptr):
     return start, np.diff(np.append(start, len(count)))
 
 
-def _minimum_degree(nodes, row, column):
-    """The place of every node in SuperLU's minimum degree order."""
-    link = scipy.sparse.coo_matrix((-np.ones(len(row)), (row, column)), (nodes, nodes))
-    matrix = link + link.T + scipy.sparse.diags_array(2.0 * np.bincount(np.append(row, column), minlength=nodes) + 1)
-    options = {"SymmetricMode": True}
-    return splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options).perm_c
+def _children_first(roots, children):
+    """All supernodes, each after its children."""
+    order: list[int] = []
+    stack = [(root, False) for root in roots]
+    while stack:
+        top, ready = stack.pop()
+        if ready:
+            order.append(top)
+        else:
+            stack += [(top, True), *((child, False) for child in children[top])]
+    return order
 
 
 def _supernodes(one, other, width):
