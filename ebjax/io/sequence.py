@@ -1,50 +1,61 @@
-"""A robot's run in TUM layout: rgb.txt, camera.json, odometry.txt; depth.txt and groundtruth.txt if there are any.
+"""A robot's run in TUM layout: rgb.txt and camera.json; odometry.txt, depth.txt and groundtruth.txt if there are any.
 
-Reading lists no pixel: images are decoded when asked for, and a frame that cannot be decoded raises `BrokenFrame`.
+Reading decodes no image: images are decoded when asked for, and a frame that cannot be decoded raises `BrokenFrame`.
 """
 
+import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Float, UInt8
 
 from ebjax.io.camera_file import CameraFile, read_camera
 from ebjax.io.images import BrokenFrame, depth_share, read_depth, read_image
-from ebjax.io.poses import interpolate
 from ebjax.io.text import check_increasing, data_lines, floats
+from ebjax.io.timed_poses import MAX_GAP_S, nearest, poses_at, poses_everywhere, spacing
 from ebjax.io.trajectory import Trajectory, read_tum
 
-__all__ = ["BrokenFrame", "CameraFile", "Sequence", "depth_share", "read_image", "read_sequence"]
-
-MAX_GAP_S = 0.5
+__all__ = ["BrokenFrame", "CameraFile", "Sequence", "depth_share", "read_image", "read_sequence", "require_odometry"]
 
 
 @dataclass(frozen=True)
 class Sequence:
-    """The frames of a run that have odometry, in time order.
+    """The frames of a run, in time order; those without odometry are left out, if there is odometry at all.
 
     Attributes:
       path: the folder.
       names: the image files, as rgb.txt names them.
-      timestamps: s.
-      odom_from_base: odometry at the frames' times, metres.
+      timestamps: s; the images' own stamps plus `time_offset_s`.
+      odom_from_base: odometry at the frames' times, metres; None for a run without.
       world_from_base: ground truth at the frames' times, NaN rows where there is none; None without groundtruth.txt.
       camera: what camera.json says.
       has_depth: whether depth was asked for and depth.txt is there.
       depth_names: the depth file of each frame, "" where none is near in time; empty without depth.
       dropped: (name, reason) of the frames left out while reading.
+      notes: what the user should know of how the files were read, a line each.
+      odometry: all of odometry.txt as `odom_from_base` has it; None for a run without.
+      truth: all of groundtruth.txt as `world_from_base` has it; None without.
+      time_offset_s: what was added to the images' stamps.
+      max_time_difference_s: as `read_sequence` was told.
+      max_gap_s: as `read_sequence` was told.
     """
 
     path: Path
     names: tuple[str, ...]
     timestamps: Float[np.ndarray, " N"]
-    odom_from_base: Float[np.ndarray, "N 4 4"]
+    odom_from_base: Float[np.ndarray, "N 4 4"] | None
     world_from_base: Float[np.ndarray, "N 4 4"] | None
     camera: CameraFile
     has_depth: bool
     depth_names: tuple[str, ...]
     dropped: tuple[tuple[str, str], ...]
+    notes: tuple[str, ...] = ()
+    odometry: Trajectory | None = None
+    truth: Trajectory | None = None
+    time_offset_s: float = 0.0
+    max_time_difference_s: float = 0.02
+    max_gap_s: float = MAX_GAP_S
 
     def __len__(self) -> int:
         """Returns the number of frames."""
@@ -63,6 +74,44 @@ class Sequence:
         size = (self.camera.width, self.camera.height)
         return read_depth(self.path / self.depth_names[i], self.camera.depth_scale, size)
 
+    def at_offset(self, time_offset_s: float) -> "Sequence":
+        """The same frames with another offset added to their own stamps; poses are evaluated anew.
+
+        No frame is lost: odometry is bridged whatever the gap, and its twist goes on for 1 s beyond its ends. Ground
+        truth is NaN where `read_sequence` would have none.
+
+        Raises:
+          ValueError: a frame would lie more than 1 s outside the odometry.
+        """
+        times = self.timestamps - self.time_offset_s + time_offset_s
+        return dataclasses.replace(
+            self,
+            timestamps=times,
+            time_offset_s=time_offset_s,
+            odom_from_base=None if self.odometry is None else poses_everywhere(self.odometry, times),
+            world_from_base=None
+            if self.truth is None
+            else poses_at(self.truth, times, self.max_time_difference_s, self.max_gap_s)[0],
+        )
+
+
+def require_odometry(sequence: Sequence, use: str = "this command") -> Float[np.ndarray, "N 4 4"]:
+    """Returns `odom_from_base` of a run that must have it.
+
+    Args:
+      sequence: the run.
+      use: what needs odometry, for the message.
+
+    Raises:
+      ValueError: the run has no odometry; names odometry.txt.
+    """
+    if sequence.odom_from_base is None:
+        raise ValueError(
+            f"{sequence.path / 'odometry.txt'}: {use} needs odometry, and the run was read without; "
+            "give rows `timestamp tx ty tz qx qy qz qw`, the pose of base_link in the odometry's frame"
+        )
+    return sequence.odom_from_base
+
 
 def _read_list(path: Path) -> tuple[tuple[str, ...], Float[np.ndarray, " N"]]:
     names, stamps = [], []
@@ -76,63 +125,37 @@ def _read_list(path: Path) -> tuple[tuple[str, ...], Float[np.ndarray, " N"]]:
     return tuple(names), np.array([stamp for _, stamp in stamps], dtype=np.float64)
 
 
-def nearest(times: Float[np.ndarray, " N"], queries: Float[np.ndarray, " M"]) -> np.ndarray:
-    """Returns for each query the index of the nearest of the sorted times; there must be at least one."""
-    after = np.clip(np.searchsorted(times, queries), 1, max(len(times) - 1, 1))
-    if len(times) == 1:
-        return np.zeros(len(queries), dtype=np.int64)
-    return after - (queries - times[after - 1] <= times[after] - queries)
-
-
-def poses_at(
-    trajectory: Trajectory, times: Float[np.ndarray, " M"], max_time_difference_s: float, max_gap_s: float = MAX_GAP_S
-) -> tuple[Float[np.ndarray, "M 4 4"], Bool[np.ndarray, " M"]]:
-    """Evaluates a trajectory at given times, at a constant twist between its samples.
-
-    Args:
-      trajectory: timed poses.
-      times: s.
-      max_time_difference_s: how far the nearest sample may be where interpolation is not possible.
-      max_gap_s: how far apart the two samples around a time may be to interpolate between them.
-
-    Returns:
-      The poses, NaN where there is none, and which there are.
-    """
-    stamps, poses = trajectory.timestamps, trajectory.poses
-    closest = nearest(stamps, times)
-    found = np.abs(stamps[closest] - times) <= max_time_difference_s
-    result = np.where(found[:, None, None], poses[closest], np.nan)
-    after = np.searchsorted(stamps, times, side="right")
-    inside = np.flatnonzero((after > 0) & (after < len(stamps)))
-    before, after = after[inside] - 1, after[inside]
-    gap = stamps[after] - stamps[before]
-    between = gap <= max_gap_s
-    inside, before, after, gap = inside[between], before[between], after[between], gap[between]
-    result[inside] = interpolate(poses[before], poses[after], (times[inside] - stamps[before]) / gap)
-    found[inside] = True
-    return result, found
-
-
 def _check_files(folder: Path) -> None:
     if not folder.is_dir():
-        raise ValueError(f"{folder}: no such folder; a sequence is a folder with rgb.txt, camera.json and odometry.txt")
-    for name in ("rgb.txt", "camera.json", "odometry.txt"):
+        raise ValueError(f"{folder}: no such folder; a sequence is a folder with rgb.txt and camera.json")
+    for name in ("rgb.txt", "camera.json"):
         if not (folder / name).is_file():
-            raise ValueError(f"{folder / name}: no such file; a sequence needs rgb.txt, camera.json and odometry.txt")
+            raise ValueError(f"{folder / name}: no such file; a sequence needs rgb.txt and camera.json")
 
 
 def read_sequence(
-    path: str | Path, *, depth: bool = True, max_time_difference_s: float = 0.02, min_coverage: float = 0.9
+    path: str | Path,
+    *,
+    depth: bool = True,
+    odometry: bool = True,
+    max_time_difference_s: float = 0.02,
+    max_gap_s: float = MAX_GAP_S,
+    min_coverage: float = 0.9,
+    time_offset_s: float = 0.0,
 ) -> Sequence:
     """Reads the lists of a TUM-layout folder; see `Sequence`.
 
-    Odometry and ground truth are interpolated between samples at most 0.5 s apart, or taken from the nearest sample.
+    Odometry and ground truth are interpolated between two samples, or taken from the nearest sample. Without
+    odometry.txt every frame is kept.
 
     Args:
       path: the folder.
       depth: whether to look for depth.txt.
+      odometry: whether to look for odometry.txt.
       max_time_difference_s: how far apart in time an image may be from its depth image or nearest pose.
+      max_gap_s: how far apart two samples may be to interpolate between them, at a constant twist.
       min_coverage: the share of frames that must have an odometry pose and, if depth.txt is there, a depth image.
+      time_offset_s: added to the images' stamps before poses are looked up. Depth images are paired before that.
 
     Raises:
       ValueError: a missing or malformed file, unsorted or duplicate timestamps, fewer than two frames, odometry or
@@ -140,44 +163,67 @@ def read_sequence(
     """
     folder = Path(path)
     _check_files(folder)
-    depth_file = folder / "depth.txt"
+    depth_file, odometry_file, truth_file = (folder / f"{n}.txt" for n in ("depth", "odometry", "groundtruth"))
     has_depth = depth and depth_file.is_file()
     camera = read_camera(folder / "camera.json", depth=has_depth)
-    names, times = _read_list(folder / "rgb.txt")
+    names, stamps = _read_list(folder / "rgb.txt")
     if len(names) < 2:
         count = "one frame only" if names else "no frames"
         raise ValueError(f"{folder / 'rgb.txt'}: {count}; a run needs at least two lines `timestamp file`")
+    rule = f"within {max_time_difference_s:g} s or between two samples at most {max_gap_s:g} s apart"
+    notes: list[str] = []
 
-    odometry_file = folder / "odometry.txt"
-    odom_from_base, found = poses_at(read_tum(odometry_file), times, max_time_difference_s)
-    rule = f"within {max_time_difference_s:g} s or between two samples at most {MAX_GAP_S:g} s apart"
-    if found.mean() < min_coverage or found.sum() < 2:
-        raise ValueError(
-            f"{odometry_file}: {found.sum()} of {len(names)} frames have an odometry pose {rule}; "
-            f"at least {min_coverage:.0%} must: give the whole run's odometry, or set --min-coverage lower"
-        )
-    dropped = tuple((names[i], f"no odometry pose {rule}") for i in np.flatnonzero(~found))
-    names, times, odom_from_base = tuple(names[i] for i in np.flatnonzero(found)), times[found], odom_from_base[found]
+    driven, odom_from_base = None, None
+    dropped: tuple[tuple[str, str], ...] = ()
+    if odometry and not _there(odometry_file):
+        notes.append(f"{odometry_file}: no such file; the run is read without odometry")
+    elif odometry:
+        driven = read_tum(odometry_file)
+        odom_from_base, found = poses_at(driven, stamps + time_offset_s, max_time_difference_s, max_gap_s)
+        if found.mean() < min_coverage or found.sum() < 2:
+            raise ValueError(
+                f"{odometry_file}: {found.sum()} of {len(names)} frames have an odometry pose {rule}; at least "
+                f"{min_coverage:.0%} must. {_spans(driven, stamps + time_offset_s)}: give the whole run's odometry, "
+                "or set --max-gap-s higher or --min-coverage lower"
+            )
+        dropped = tuple((names[i], f"no odometry pose {rule}") for i in np.flatnonzero(~found))
+        names, stamps = tuple(names[i] for i in np.flatnonzero(found)), stamps[found]
+        odom_from_base = odom_from_base[found]
 
-    world_from_base = None
-    if (folder / "groundtruth.txt").is_file():
-        world_from_base, known = poses_at(read_tum(folder / "groundtruth.txt"), times, max_time_difference_s)
+    truth, world_from_base = None, None
+    if _there(truth_file):
+        truth = read_tum(truth_file)
+        world_from_base, known = poses_at(truth, stamps + time_offset_s, max_time_difference_s, max_gap_s)
         if not known.any():
             raise ValueError(
-                f"{folder / 'groundtruth.txt'}: 0 of {len(names)} frames have a pose {rule}; "
-                "correct its clock, or move the file away"
+                f"{truth_file}: 0 of {len(names)} frames have a pose {rule}. "
+                f"{_spans(truth, stamps + time_offset_s)}: correct its clock, or move the file away"
             )
     return Sequence(
         path=folder,
         names=names,
-        timestamps=times,
+        timestamps=stamps + time_offset_s,
         odom_from_base=odom_from_base,
         world_from_base=world_from_base,
         camera=camera,
         has_depth=has_depth,
-        depth_names=_match_depth(depth_file, times, max_time_difference_s, min_coverage) if has_depth else (),
+        depth_names=_match_depth(depth_file, stamps, max_time_difference_s, min_coverage) if has_depth else (),
         dropped=dropped,
+        notes=tuple(notes),
+        odometry=driven,
+        truth=truth,
+        time_offset_s=time_offset_s,
+        max_time_difference_s=max_time_difference_s,
+        max_gap_s=max_gap_s,
     )
+
+
+def _there(path: Path) -> bool:
+    return path.is_file() or Path(f"{path}.gz").is_file()
+
+
+def _spans(trajectory: Trajectory, times: Float[np.ndarray, " N"]) -> str:
+    return f"{spacing(trajectory)}; the images are from {times[0]:.3f} to {times[-1]:.3f} s"
 
 
 def _match_depth(

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from ebjax.io.sequence import BrokenFrame, read_sequence
+from ebjax.io.sequence import BrokenFrame, read_sequence, require_odometry
 
 CAMERA = {"fx": 8, "fy": 8, "cx": 4, "cy": 3, "width": 8, "height": 6, "depth_scale": 1000}
 MOUNT = [[0, 0, 1, 0.27], [-1, 0, 0, 0], [0, -1, 0, 0.54], [0, 0, 0, 1]]
@@ -83,10 +83,65 @@ def test_frames_without_odometry_are_dropped_by_name(folder):
 def test_sparse_odometry_is_not_interpolated_over_a_gap(folder):
     times = np.array([100.0, 100.2, 100.41, 101.2, 101.4, 101.6, 101.81])
     (folder / "odometry.txt").write_text(tum(times))
-    run = read_sequence(folder, min_coverage=0.5)
+    run = read_sequence(folder, min_coverage=0.5, max_gap_s=0.5)
     # 100.4 lies between two samples 0.21 s apart, 101.8 too; 100.6, 100.8 and 101.0 lie in a gap of 0.79 s.
     assert [name for name, _ in run.dropped] == ["rgb/3.jpg", "rgb/4.jpg", "rgb/5.jpg"]
     np.testing.assert_allclose(run.odom_from_base[:, 0, 3], run.timestamps, atol=1e-9)
+    words = r"7 of 10 frames .* at most 0\.5 s apart.* lie 0\.205 s apart \(median; the largest gap is 0\.79 s\)"
+    with pytest.raises(ValueError, match=rf"odometry\.txt: {words}.*from 100\.000 to 101\.800 s.*--max-gap-s"):
+        read_sequence(folder, max_gap_s=0.5)
+
+
+def test_odometry_at_a_low_rate_runs_as_it_is(folder):
+    (folder / "odometry.txt").write_text(tum(100 + np.arange(3) * 1.0))
+    run = read_sequence(folder)
+    assert len(run) == 10 and run.dropped == () and run.max_gap_s == 2
+    np.testing.assert_allclose(run.odom_from_base[:, 0, 3], run.timestamps, atol=1e-9)
+
+
+def test_a_run_without_odometry_keeps_every_frame(folder):
+    given = read_sequence(folder, odometry=False)
+    assert given.odom_from_base is None and given.odometry is None and len(given) == 10 and given.notes == ()
+    (folder / "odometry.txt").unlink()
+    run = read_sequence(folder)
+    assert run.odom_from_base is None and len(run) == 10 and run.has_depth and run.dropped == ()
+    assert len(run.notes) == 1 and "odometry.txt: no such file; the run is read without odometry" in run.notes[0]
+    np.testing.assert_array_equal(run.timestamps, given.timestamps)
+    np.testing.assert_allclose(run.world_from_base[3:, 0, 3], run.timestamps[3:], atol=1e-9)
+    with pytest.raises(ValueError, match=r"odometry\.txt: a calibration needs odometry, .*; give rows `timestamp tx"):
+        require_odometry(run, "a calibration")
+    moved = run.at_offset(0.1)
+    assert moved.odom_from_base is None and len(moved) == 10
+
+
+def test_an_offset_moves_the_images_but_not_their_depth(folder):
+    run = read_sequence(folder, time_offset_s=0.07)
+    assert len(run) == 10 and run.depth_names == tuple(f"depth/{k}.png" for k in range(10))
+    np.testing.assert_allclose(run.timestamps, 100.07 + np.arange(10) * 0.2, atol=1e-9)
+    np.testing.assert_allclose(run.odom_from_base[:, 0, 3], run.timestamps, atol=1e-9)
+    known = np.isfinite(run.world_from_base[:, 0, 3])
+    assert known.tolist() == [False] * 3 + [True] * 6 + [False]
+    np.testing.assert_allclose(run.world_from_base[known, 0, 3], run.timestamps[known], atol=1e-9)
+
+
+def test_a_run_at_another_offset_is_the_run_read_with_it(folder):
+    run, read = read_sequence(folder).at_offset(0.07), read_sequence(folder, time_offset_s=0.07)
+    assert run.time_offset_s == 0.07 and run.names == read.names
+    np.testing.assert_allclose(run.timestamps, read.timestamps, atol=1e-9)
+    np.testing.assert_allclose(run.odom_from_base, read.odom_from_base, atol=1e-9)
+    np.testing.assert_allclose(run.world_from_base, read.world_from_base, atol=1e-9)
+    back = run.at_offset(0.0)
+    np.testing.assert_allclose(back.odom_from_base, read_sequence(folder).odom_from_base, atol=1e-9)
+
+
+@pytest.mark.parametrize("offset", [-0.9, 0.9])
+def test_no_frame_is_lost_at_another_offset(folder, offset):
+    (folder / "odometry.txt").write_text(tum([99.95, 99.951, 100.3, 100.6, 101.3, 101.7999, 101.8]))
+    run = read_sequence(folder).at_offset(offset)
+    assert len(run) == 10
+    np.testing.assert_allclose(run.odom_from_base[:, 0, 3], 100 + np.arange(10) * 0.2 + offset, atol=1e-6)
+    with pytest.raises(ValueError, match=r"odometry\.txt: \d+ frames lie more than 1 s outside .*smaller time offset"):
+        run.at_offset(2 * offset)
 
 
 def test_half_the_odometry_says_how_many_matched(folder):
@@ -112,7 +167,7 @@ def test_truth_with_another_clock_is_not_ignored(folder):
         read_sequence(folder)
 
 
-@pytest.mark.parametrize("name", ["rgb.txt", "camera.json", "odometry.txt"])
+@pytest.mark.parametrize("name", ["rgb.txt", "camera.json"])
 def test_missing_files_are_named(folder, name):
     (folder / name).unlink()
     with pytest.raises(ValueError, match=rf"{name}: no such file; a sequence needs"):
