@@ -27,7 +27,7 @@ from ebjax.io.images import read_both, read_depths, read_image
 from ebjax.io.pairs import read_pairs
 from ebjax.models.d2net import OFFSETS
 from ebjax.models.fast import Arithmetic
-from ebjax.slam.view import choose_floor
+from ebjax.views.run_view import choose_floor
 from ebjax.viz import figures
 
 

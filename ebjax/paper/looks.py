@@ -16,9 +16,9 @@ from ebjax.geometry.camera import Camera
 from ebjax.geometry.warp import Taps
 from ebjax.paper.run import Run
 from ebjax.places.descriptor import Descriptor
-from ebjax.slam.describe import clear_floor, floor_view, view_taps
-from ebjax.slam.look import whole_image
-from ebjax.slam.view import RunView
+from ebjax.views.floor_view import clear_floor, floor_view, view_taps
+from ebjax.views.look import whole_image
+from ebjax.views.run_view import RunView
 
 Kind = Literal["whole", "flipped", "floor"]
 

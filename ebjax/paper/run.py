@@ -13,8 +13,8 @@ from jaxtyping import Float, Int
 from ebjax.geometry.camera import Camera
 from ebjax.io.sequence import Sequence, read_sequence
 from ebjax.slam.keyframes import moved_enough
-from ebjax.slam.view import RunView, choose_floor, from_camera
 from ebjax.slam.world import planar
+from ebjax.views.run_view import RunView, choose_floor, from_camera
 
 METRES_PER_PX = 0.01
 STEP_M, STEP_DEG = 0.15, 10.0

@@ -25,8 +25,8 @@ from ebjax.places.bench import CONTENDERS, bench
 from ebjax.places.descriptor import Descriptor, descriptor
 from ebjax.places.recall import recall_at
 from ebjax.places.search import SHORTLIST, check_ranking, search
-from ebjax.slam.describe import floor_view
-from ebjax.slam.look import camera_view, quad_view, whole_image
+from ebjax.views.floor_view import floor_view
+from ebjax.views.look import camera_view, quad_view, whole_image
 
 Quad = tuple[float, float, float, float, float, float, float, float]
 COLUMNS = ("query", "rank", "name", "direction", "distance")

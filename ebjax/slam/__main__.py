@@ -15,6 +15,7 @@ import tyro
 
 from ebjax.command import dump_config, progress, run
 from ebjax.evaluation.run import closure_errors, closure_summary, reason_counts, spread_rows, trajectory_errors
+from ebjax.features.landmarks import floor_error_m
 from ebjax.floors.__main__ import render_sequence
 from ebjax.floors.sequence import CorridorConfig
 from ebjax.geometry.camera import Camera, FloorView
@@ -23,12 +24,12 @@ from ebjax.io.cache import open_cache
 from ebjax.io.camera_file import read_camera
 from ebjax.io.sequence import BrokenFrame, Sequence, read_sequence
 from ebjax.places.recall import facing_pairs, precision_100, recall_at_1
-from ebjax.slam.floor import camera_from_depth, floor_error_m
 from ebjax.slam.pipeline import PipelineConfig, Remember, Result
 from ebjax.slam.pipeline import run as run_pipeline
 from ebjax.slam.select import SelectConfig
-from ebjax.slam.view import choose_floor, from_camera, from_quad
 from ebjax.slam.world import planar
+from ebjax.views.depth_floor import camera_from_depth
+from ebjax.views.run_view import choose_floor, from_camera, from_quad
 from ebjax.viz.run_folder import write_run
 
 Quad = tuple[float, float, float, float, float, float, float, float]

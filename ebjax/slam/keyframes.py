@@ -12,8 +12,9 @@ from jaxtyping import Float, Int
 from ebjax.features.extractor import Extractor
 from ebjax.geometry.camera import Camera
 from ebjax.places.descriptor import Descriptor
-from ebjax.slam.describe import Described, describe, view_taps
-from ebjax.slam.view import RunView
+from ebjax.slam.describe import Described, describe
+from ebjax.views.floor_view import view_taps
+from ebjax.views.run_view import RunView
 
 Load = Callable[[int], tuple[np.ndarray, np.ndarray | None] | None]
 Progress = Callable[[Iterable, int, str], Iterator]

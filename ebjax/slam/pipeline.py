@@ -31,7 +31,7 @@ from ebjax.slam.describe import Described
 from ebjax.slam.keyframes import Load, Progress, describe_keyframes, moved_enough
 from ebjax.slam.select import KEPT, Measured, Odometry, SelectConfig, plausible, select
 from ebjax.slam.verify import verify_pairs
-from ebjax.slam.view import RunView
+from ebjax.views.run_view import RunView
 
 Remember = Callable[[str, Path | None], Callable[[Callable], Callable]]
 MIN_DEPTH_INLIERS = 8

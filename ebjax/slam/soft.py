@@ -28,9 +28,9 @@ from ebjax.places.vlad import centred, netvlad
 from ebjax.posegraph.graph import PoseGraph
 from ebjax.posegraph.linear import Structure
 from ebjax.posegraph.lm import solve
-from ebjax.slam.describe import floor_view, view_taps
 from ebjax.slam.soft_look import Look
-from ebjax.slam.view import RunView
+from ebjax.views.floor_view import floor_view, view_taps
+from ebjax.views.run_view import RunView
 
 
 @typing.no_type_check

@@ -8,9 +8,10 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from ebjax.features.extractor import Extractor
+from ebjax.features.landmarks import Landmarks, take
 from ebjax.features.measure import LoopMeasurement, measure_depth, measure_floor
 from ebjax.features.verify import Verified, verify
-from ebjax.slam.describe import Described, Landmarks
+from ebjax.slam.describe import Described
 
 PAIRS_A_CALL = 64
 
@@ -58,11 +59,6 @@ def verify_pairs(
         results.append(jax.tree.map(np.asarray, block(query, reference, keys[rows])))
     joined = jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(i)], *results)
     return joined
-
-
-def take(landmarks: Landmarks, rows: Int[np.ndarray, " K"]) -> Landmarks:
-    """Some keyframes' landmarks."""
-    return jax.tree.map(lambda leaf: leaf[rows], landmarks)
 
 
 def seen_from(

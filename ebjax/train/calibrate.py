@@ -24,12 +24,12 @@ from ebjax.geometry.mount import NAMES, base_from_mounted_camera, mount_of
 from ebjax.io.atomic import whole_folder
 from ebjax.io.camera_file import CameraFile, write_camera
 from ebjax.io.sequence import BrokenFrame, Sequence, read_sequence
-from ebjax.slam.floor import camera_from_depth
 from ebjax.slam.select import Odometry
 from ebjax.slam.world import planar
 from ebjax.train.calibrate_mount import calibrate, deviations, floor_distance_m
 from ebjax.train.calibrate_pairs import KEYPOINT_PX, FloorPairs
 from ebjax.train.calibrate_solve import Solved
+from ebjax.views.depth_floor import camera_from_depth
 
 DEPTH_IMAGES = 9
 DEPTH_SIGMA = (np.radians(0.2), np.radians(0.2), 0.01)

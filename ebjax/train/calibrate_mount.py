@@ -18,9 +18,9 @@ from ebjax.geometry.camera import Camera
 from ebjax.geometry.homography import apply as apply_homography
 from ebjax.geometry.mount import base_from_mounted_camera, mount_of
 from ebjax.slam.select import Odometry
-from ebjax.slam.view import choose_floor, from_camera
 from ebjax.train.calibrate_pairs import FloorPairs, Load, choose_pairs, match_pairs
 from ebjax.train.calibrate_solve import Solved, count_agreeing, curvature_sigma, on_floor, residuals, solve
+from ebjax.views.run_view import choose_floor, from_camera
 
 WIDTHS = ((10.0, 4.0), (3.0, 2.0), (2.0,))
 """Of the Cauchy kernel in every look, standard deviations of a match; what lies three widths off is no match."""

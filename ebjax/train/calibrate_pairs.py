@@ -18,9 +18,9 @@ from ebjax.features.upright import extract
 from ebjax.geometry.camera import Camera
 from ebjax.geometry.homography import Arrays, denominator
 from ebjax.geometry.homography import apply as apply_homography
-from ebjax.slam.describe import floor_view, view_taps
 from ebjax.slam.select import Odometry
-from ebjax.slam.view import RunView
+from ebjax.views.floor_view import floor_view, view_taps
+from ebjax.views.run_view import RunView
 
 SHARES = (0.125, 0.25, 0.375)
 """How far the view's centre moves between the two frames of a pair, as a share of the view's length."""

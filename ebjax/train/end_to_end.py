@@ -23,9 +23,9 @@ from ebjax.io.atomic import whole_file
 from ebjax.slam.soft import Pairs, Parameters, Points, Softness, SoftRun, Words, ate_rmse_m, correct
 from ebjax.slam.soft_look import DIMENSION, rootsift_look
 from ebjax.slam.soft_pairs import choose_pairs, choose_points
-from ebjax.slam.view import choose_floor
 from ebjax.train.end_to_end_runs import WorldConfig, corridor, load_run
 from ebjax.train.loop import SCORE, LoopConfig, Task, fit
+from ebjax.views.run_view import choose_floor
 
 BEST = "parameters.npz"
 TUNED = {"homography": ("camera",), "aggregation": ("words", "threshold"), "both": ("camera", "words", "threshold")}

@@ -31,11 +31,11 @@ from ebjax.places.search import search
 from ebjax.posegraph.init import to_matrices
 from ebjax.slam.pipeline import PipelineConfig, Result
 from ebjax.slam.pipeline import run as run_pipeline
-from ebjax.slam.view import RunView, choose_floor, from_camera
 from ebjax.slam.world import planar
 from ebjax.train.floornet import WEIGHTS, Temperatures, Weights, objective, save_network
 from ebjax.train.loop import LoopConfig, Task, fit
 from ebjax.train.views import Pairs
+from ebjax.views.run_view import RunView, choose_floor, from_camera
 
 METRES_PER_PX = 0.01
 MIN_CLOSURES = 6

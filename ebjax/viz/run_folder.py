@@ -18,8 +18,8 @@ from ebjax.posegraph.g2o import format_g2o
 from ebjax.slam.map import mosaic
 from ebjax.slam.pipeline import Load, Result
 from ebjax.slam.select import THINNED
-from ebjax.slam.view import RunView
 from ebjax.slam.world import matrices, planar
+from ebjax.views.run_view import RunView
 from ebjax.viz import figures
 from ebjax.viz.report import report
 from ebjax.viz.run_page import run_page

@@ -8,9 +8,10 @@ from ebjax.features.matching import mutual_nearest
 from ebjax.features.upright import ROOTSIFT
 from ebjax.geometry.camera import FloorView, camera_over_floor
 from ebjax.geometry.homography import apply
-from ebjax.slam.describe import describe, view_taps
+from ebjax.slam.describe import describe
 from ebjax.slam.verify import seen_from
-from ebjax.slam.view import from_camera
+from ebjax.views.floor_view import view_taps
+from ebjax.views.run_view import from_camera
 
 AGAIN = Extractor(ROOTSIFT.extract, jitted=False, turn=None)
 """As a network: of a turned view it has to look at the turned view."""

@@ -7,8 +7,8 @@ import pytest
 from ebjax.geometry.camera import FloorView, camera_over_floor
 from ebjax.geometry.homography import apply
 from ebjax.slam.pipeline import Result
-from ebjax.slam.view import from_camera
 from ebjax.train.finetune import Config, comb, run, taught
+from ebjax.views.run_view import from_camera
 
 CAMERA = camera_over_floor(120.0, 120.0, 79.5, 59.5, 160, 120, 0.6, 0.5)
 VIEW = from_camera(CAMERA, FloorView(0.6, 1.4, -0.4, 0.4, 0.02))

@@ -1,4 +1,4 @@
-"""The camera over the floor that depth images show, and how far they disagree with a given one."""
+"""The camera over the floor that depth images show."""
 
 import dataclasses
 
@@ -9,7 +9,6 @@ from jaxtyping import Float
 
 from ebjax.geometry.camera import Camera, backproject
 from ebjax.geometry.plane import camera_from_plane, fit_ground_plane
-from ebjax.slam.describe import Landmarks
 
 MIN_INLIERS = 0.1
 
@@ -47,9 +46,3 @@ def camera_from_depth(
     pitch = np.degrees(np.arcsin(-plane[2]))
     roll = np.degrees(np.arctan2(plane[0], -plane[1]))
     return dataclasses.replace(found), float(plane[3]), float(pitch), float(roll)
-
-
-def floor_error_m(landmarks: Landmarks) -> float:
-    """Median height of the described floor points above z = 0 of base, m; 0 without depth."""
-    height = landmarks.points[..., 2][landmarks.range_m > 0]
-    return float(np.median(np.abs(height))) if height.size else 0.0

@@ -4,7 +4,7 @@ import pytest
 
 from ebjax.geometry.camera import FloorView, camera_over_floor
 from ebjax.geometry.homography import apply
-from ebjax.slam.view import choose_floor, from_camera, from_quad
+from ebjax.views.run_view import choose_floor, from_camera, from_quad
 
 
 def camera(height_m=0.54, pitch_deg=19.0, focal=615.0, width=640, height=480):

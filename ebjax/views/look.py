@@ -9,8 +9,8 @@ from jaxtyping import Array, Bool, Float
 
 from ebjax.geometry.camera import Camera, camera_over_floor
 from ebjax.geometry.warp import Taps, taps
-from ebjax.slam.describe import SUPERSAMPLE, view_taps
-from ebjax.slam.view import choose_floor, from_camera, from_quad
+from ebjax.views.floor_view import SUPERSAMPLE, view_taps
+from ebjax.views.run_view import choose_floor, from_camera, from_quad
 
 
 def camera_view(camera: Camera, metres_per_px: float) -> tuple[Taps, Bool[Array, "h w"]]:
@@ -26,7 +26,7 @@ def camera_view(camera: Camera, metres_per_px: float) -> tuple[Taps, Bool[Array,
 def quad_view(
     size: tuple[int, int], quad: Float[np.ndarray, "4 2"], margin: float, side_px: int
 ) -> tuple[Taps, Bool[Array, "h w"]]:
-    """The square that four points of an image of (width, height) `size` span, as `slam.view.from_quad`.
+    """The square that four points of an image of (width, height) `size` span, as `views.run_view.from_quad`.
 
     Raises:
       ValueError: they span no convex patch.

@@ -1,0 +1,54 @@
+"""The features of a frame with where they lie in base: on the floor, and by depth."""
+
+import dataclasses
+import typing
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from ebjax.features.matching import Features
+from ebjax.features.measure import lift
+from ebjax.geometry.camera import Camera
+from ebjax.geometry.homography import apply
+from ebjax.views.run_view import RunView
+
+
+@typing.no_type_check
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Landmarks:
+    """The features of a frame, or with a leading axis of many, and where they lie in base."""
+
+    features: Features
+    floor_points: Float[Array, "*n K 2"]  # on the floor, m
+    points: Float[Array, "*n K 3"]  # by depth, m
+    range_m: Float[Array, "*n K"]  # depth of `points`; 0 where there is none
+
+
+def located(
+    features: Features,
+    floor: Bool[Array, "h w"],
+    depth_m: Float[Array, "H W"],
+    view: RunView,
+    camera: Camera,
+) -> Landmarks:
+    """Drops features that do not lie on the floor, and gives the others their floor points and 3D points."""
+    row, column = (jnp.round(features.keypoints[:, k]).astype(jnp.int32) for k in (1, 0))
+    features = dataclasses.replace(features, valid=features.valid & floor[row, column])
+    keypoints = features.keypoints.astype(view.image_from_view.dtype)
+    pixels = apply(view.image_from_view, keypoints)
+    points, range_m = lift(pixels, depth_m.astype(pixels.dtype), camera)
+    return Landmarks(features, apply(view.floor_from_view, keypoints), points, range_m)
+
+
+def take(landmarks: Landmarks, rows: Int[np.ndarray, " K"]) -> Landmarks:
+    """Some keyframes' landmarks."""
+    return jax.tree.map(lambda leaf: leaf[rows], landmarks)
+
+
+def floor_error_m(landmarks: Landmarks) -> float:
+    """Median height of the described floor points above z = 0 of base, m; 0 without depth."""
+    height = landmarks.points[..., 2][landmarks.range_m > 0]
+    return float(np.median(np.abs(height))) if height.size else 0.0
