@@ -15,6 +15,7 @@ from ebjax.io.images import BrokenFrame, depth_share, read_depth, read_image
 from ebjax.io.text import check_increasing, data_lines, floats
 from ebjax.io.timed_poses import MAX_GAP_S, nearest, poses_at, poses_everywhere, spacing
 from ebjax.io.trajectory import Trajectory, read_tum
+from ebjax.io.upright import floor_trajectory
 
 __all__ = ["BrokenFrame", "CameraFile", "Sequence", "depth_share", "read_image", "read_sequence", "require_odometry"]
 
@@ -178,7 +179,8 @@ def read_sequence(
     if odometry and not _there(odometry_file):
         notes.append(f"{odometry_file}: no such file; the run is read without odometry")
     elif odometry:
-        driven = read_tum(odometry_file)
+        driven, remarks = floor_trajectory(read_tum(odometry_file), camera.base_from_camera)
+        notes += remarks
         odom_from_base, found = poses_at(driven, stamps + time_offset_s, max_time_difference_s, max_gap_s)
         if found.mean() < min_coverage or found.sum() < 2:
             raise ValueError(
@@ -192,7 +194,8 @@ def read_sequence(
 
     truth, world_from_base = None, None
     if _there(truth_file):
-        truth = read_tum(truth_file)
+        truth, remarks = floor_trajectory(read_tum(truth_file), camera.base_from_camera)
+        notes += remarks
         world_from_base, known = poses_at(truth, stamps + time_offset_s, max_time_difference_s, max_gap_s)
         if not known.any():
             raise ValueError(

@@ -4,7 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
+from ebjax.io.poses import poses_from
 from ebjax.io.sequence import BrokenFrame, read_sequence, require_odometry
+from ebjax.io.trajectory import write_tum
 
 CAMERA = {"fx": 8, "fy": 8, "cx": 4, "cy": 3, "width": 8, "height": 6, "depth_scale": 1000}
 MOUNT = [[0, 0, 1, 0.27], [-1, 0, 0, 0], [0, -1, 0, 0.54], [0, 0, 0, 1]]
@@ -46,6 +48,48 @@ def test_frames_poses_and_depth(folder):
     np.testing.assert_allclose(run.world_from_base[3:, 0, 3], run.timestamps[3:], atol=1e-9)
     assert run.rgb(4).shape == (6, 8, 3) and abs(int(run.rgb(4)[0, 0, 0]) - 80) <= 2
     np.testing.assert_allclose(run.depth(7), 1.007, rtol=1e-6)
+
+
+def write_poses(path, poses):
+    write_tum(path, 99.95 + np.arange(len(poses)) * 0.1, poses)
+
+
+@pytest.fixture
+def poses():
+    """Thirty poses at 10 Hz on a bend to the left, 3 m long."""
+    heading = np.linspace(0, 2, 30)
+    rotation = np.stack([[[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]] for a in heading])
+    place = np.stack([np.sin(heading) * 1.5, (1 - np.cos(heading)) * 1.5, 0 * heading], axis=1)
+    return poses_from(rotation, place)
+
+
+def test_poses_of_the_camera_are_put_right_with_a_note(folder, poses):
+    write_poses(folder / "odometry.txt", poses)
+    write_poses(folder / "groundtruth.txt", poses)
+    right = read_sequence(folder)
+    assert right.notes == ()
+    write_poses(folder / "groundtruth.txt", poses @ np.array(MOUNT))
+    run = read_sequence(folder)
+    assert len(run.notes) == 1 and "groundtruth.txt: holds the poses of the camera's optical frame" in run.notes[0]
+    np.testing.assert_allclose(run.world_from_base, right.world_from_base, atol=1e-6)
+    moved, expected = run.at_offset(0.05), right.at_offset(0.05)
+    np.testing.assert_allclose(moved.world_from_base, expected.world_from_base, atol=1e-6)
+    assert moved.notes == run.notes
+    write_poses(folder / "odometry.txt", poses @ np.array(MOUNT))
+    run = read_sequence(folder)
+    assert [note.split(": ")[0].rsplit("/")[-1] for note in run.notes] == ["odometry.txt", "groundtruth.txt"]
+    np.testing.assert_allclose(run.odom_from_base, right.odom_from_base, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["odometry.txt", "groundtruth.txt"])
+def test_other_columns_are_refused_by_name(folder, poses, name):
+    write_poses(folder / name, poses)
+    rows = [line.split() for line in (folder / name).read_text().splitlines()[1:]]
+    (folder / name).write_text("".join(" ".join([*row[:4], row[7], *row[4:7]]) + "\n" for row in rows))
+    with pytest.raises(ValueError, match=rf"{name}: its quaternions are written qw qx qy qz"):
+        read_sequence(folder)
+    if name == "odometry.txt":
+        assert len(read_sequence(folder, odometry=False)) == 10
 
 
 def test_depth_and_truth_are_optional(folder):
