@@ -1,0 +1,143 @@
+"""The best of many hypotheses of a planar motion, refined on all matches at once, and its covariance.
+
+Host side, NumPy.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ebjax.odometry.planar_motion import Pairs
+from ebjax.odometry.planar_motion_cost import WRONG_COST, Explained, explain, quick_score, score, trust
+from ebjax.odometry.planar_motion_search import epipolar_pairs, floor_votes, rigid_pairs, turn_peaks
+
+STEPS = np.array([1e-4, 1e-4, 2e-5])
+RIDGE = np.array([25.0, 25.0, 100.0])
+"""Information that keeps what no match tells: 0.2 m, 0.1 rad."""
+FREEDOM = 3.0
+"""Degrees of freedom of Student's distribution: most corners lie far better than the worst."""
+SETS = 125
+SUBSET = 100
+"""The search looks at so many of the best matches; the last refinement at all of them."""
+LEVELS_M = np.array([0.0, 0.02, 0.06, 0.2, 0.6])
+"""Lengths of b that are tried where only its direction is known."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Refined motions (bx, by, theta) of the camera, scores (smaller is better), what they make of matches."""
+
+    motions: Float[np.ndarray, "C 3"]
+    scores: Float[np.ndarray, " C"]
+    explained: Explained
+
+    def sorted(self) -> "Fit":
+        """Best first."""
+        order = np.argsort(self.scores, kind="stable")
+        rows = {n: getattr(self.explained, n)[..., order, :] for n in Explained.__dataclass_fields__}
+        return Fit(self.motions[order], self.scores[order], Explained(**rows))
+
+
+def jacobian(motions: Float[np.ndarray, "C 3"], pairs: Pairs, at: Explained) -> Float[np.ndarray, "3 3 C N"]:
+    """Derivatives of the residuals (second axis) by bx, by, theta (first axis)."""
+    ahead = explain(motions + np.diag(STEPS)[:, None, :], pairs, like=at).residuals
+    return (ahead.swapaxes(0, 1) - at.residuals) / STEPS[:, None, None, None]
+
+
+def normal_equations(
+    motions: Float[np.ndarray, "C 3"], pairs: Pairs, at: Explained, weights: Float[np.ndarray, "C N"]
+) -> tuple[Float[np.ndarray, "C 3 3"], Float[np.ndarray, "C 3"]]:
+    """Gauss-Newton's matrix J^T W J and vector J^T W r."""
+    count, n = at.cost.shape
+    root = np.sqrt(weights)
+    j = (jacobian(motions, pairs, at) * root).transpose(2, 0, 1, 3).reshape(count, 3, 3 * n)
+    r = (at.residuals * root).transpose(1, 0, 2).reshape(count, 3 * n)
+    return j @ j.swapaxes(1, 2), (j @ r[..., None])[..., 0]
+
+
+def refine(motions: Float[np.ndarray, "C 3"], pairs: Pairs, iterations: int, *, floor: bool = True) -> Fit:
+    """Gauss-Newton from every motion, side by side, weighted by `trust`; each keeps the best it came by."""
+    at = explain(motions, pairs, floor=floor)
+    best, best_score = motions, score(at.cost)
+    for _ in range(iterations):
+        hessian, gradient = normal_equations(motions, pairs, at, trust(at.cost))
+        step = np.linalg.solve(hessian + np.diag(RIDGE), gradient[..., None])[..., 0]
+        step *= np.minimum(1, 0.2 / np.maximum(np.abs(step).max(1), 1e-9))[:, None]
+        motions = motions - step
+        at = explain(motions, pairs, floor=floor)
+        new = score(at.cost)
+        better = new < best_score
+        best, best_score = np.where(better[:, None], motions, best), np.where(better, new, best_score)
+    return Fit(best, best_score, explain(best, pairs, floor=floor))
+
+
+def distinct(
+    motions: Float[np.ndarray, "H 3"],
+    scores: Float[np.ndarray, " H"],
+    count: int,
+    apart: tuple[float, float, float] = (0.1, 0.1, 0.01),
+) -> Int[np.ndarray, " K"]:
+    """Rows of the best motions, best first, one for each cell of a lattice `apart` (m, m, rad) wide."""
+    order = np.argsort(scores, kind="stable")[: 50 * count]
+    cells = np.round(motions[order] / np.array(apart)).astype(np.int64)
+    return order[np.sort(np.unique(cells, axis=0, return_index=True)[1])[:count]]
+
+
+def search(pairs: Pairs, start: Float[np.ndarray, "K 3"], *, floor: bool = True, seed: int = 0) -> Fit:
+    """The best motions that differ, best first.
+
+    Args:
+      pairs: the matches, the surest first.
+      start: more hypotheses, (bx, by, theta).
+      floor: whether a match may be a point of the floor.
+      seed: of the random sets.
+    """
+    random = np.random.default_rng(seed)
+    some = pairs.take(np.arange(min(len(pairs), SUBSET)))
+    if not floor:
+        some = some.without_floor()
+    epipolar = epipolar_pairs(some, SETS, random) * [0.3, 0.3, 1]
+    motions = np.concatenate([start, turn_peaks(some, 3), epipolar, rigid_pairs(some, SETS, random)])
+    fit = refine(motions[distinct(motions, quick_score(motions, some), 8)], some, 3)
+    more = [fit.motions]
+    for motion in fit.motions[np.argsort(fit.scores)[:4]]:
+        way = motion[:2] / max(np.linalg.norm(motion[:2]), 1e-9)
+        more.append(np.column_stack([LEVELS_M[:, None] * way, np.full(len(LEVELS_M), motion[2])]))
+        more.append(floor_votes(motion[2], some, 8))
+    motions = np.concatenate(more)
+    fit = refine(motions[distinct(motions, score(explain(motions, some).cost), 6, (0.02, 0.02, 0.01))], some, 4)
+    fit = refine(fit.motions[distinct(fit.motions, fit.scores, 3)], pairs, 4, floor=floor)
+    return fit.sorted()
+
+
+def polish(
+    motion: Float[np.ndarray, "3"], pairs: Pairs, prior_information: Float[np.ndarray, "3 3"], *, floor: bool = True
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"], Explained]:
+    """The last refinement: Student's weights, the noise of the corners estimated with the motion (Lange et al. 1989).
+
+    Args:
+      motion: (bx, by, theta), nearly right.
+      pairs: all matches.
+      prior_information: of the step from `motion`; keeps what no match tells.
+      floor: whether a match may be a point of the floor.
+
+    Returns:
+      The motion, its covariance by the noise of its own residuals, and what it makes of the matches.
+    """
+    motions, variance = motion[None], 1.0
+    at = explain(motions, pairs, floor=floor)
+    keep = at.cost < WRONG_COST
+    freedom = np.where(~np.isnan(pairs.rho_j), 3, np.where(at.floor, 2, 1)) * keep
+    for _ in range(6):
+        squared = (at.residuals**2).sum(0) / variance
+        weights = keep * (FREEDOM + freedom) / (FREEDOM + squared)
+        hessian, gradient = normal_equations(motions, pairs, at, weights / variance)
+        gradient = gradient + (prior_information @ (motions - motion[None]).T).T
+        hessian = hessian + prior_information
+        motions = motions - np.linalg.solve(hessian, gradient[..., None])[..., 0]
+        variance = max(variance * (weights * squared).sum() / max(freedom.sum() - 3, 1), 0.01)
+        at = explain(motions, pairs, floor=floor, like=at)
+    # Fisher's information of Student's location is (v + d) / (v + d + 2) of the Gauss-Newton matrix at unit weight.
+    unit, _ = normal_equations(motions, pairs, at, keep * (FREEDOM + freedom) / (FREEDOM + freedom + 2) / variance)
+    return motions[0], np.linalg.inv(unit[0] + prior_information), explain(motions, pairs, floor=floor)
