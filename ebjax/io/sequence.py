@@ -13,7 +13,7 @@ from jaxtyping import Float, UInt8
 from ebjax.io.camera_file import CameraFile, read_camera
 from ebjax.io.images import BrokenFrame, depth_share, read_depth, read_image
 from ebjax.io.text import check_increasing, data_lines, floats
-from ebjax.io.timed_poses import MAX_GAP_S, nearest, poses_at, poses_everywhere, spacing
+from ebjax.io.timed_poses import MAX_BEYOND_S, MAX_GAP_S, nearest, poses_at, poses_everywhere, spacing
 from ebjax.io.trajectory import Trajectory, read_tum
 from ebjax.io.upright import floor_trajectory
 
@@ -85,11 +85,13 @@ class Sequence:
           ValueError: a frame would lie more than 1 s outside the odometry.
         """
         times = self.timestamps - self.time_offset_s + time_offset_s
+        # A frame may lie outside the odometry by the difference that is allowed without an offset.
+        beyond_s = MAX_BEYOND_S + self.max_time_difference_s
         return dataclasses.replace(
             self,
             timestamps=times,
             time_offset_s=time_offset_s,
-            odom_from_base=None if self.odometry is None else poses_everywhere(self.odometry, times),
+            odom_from_base=None if self.odometry is None else poses_everywhere(self.odometry, times, beyond_s),
             world_from_base=None
             if self.truth is None
             else poses_at(self.truth, times, self.max_time_difference_s, self.max_gap_s)[0],

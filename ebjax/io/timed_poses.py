@@ -48,23 +48,26 @@ def poses_at(
     return result, found
 
 
-def poses_everywhere(trajectory: Trajectory, times: Float[np.ndarray, " M"]) -> Float[np.ndarray, "M 4 4"]:
+def poses_everywhere(
+    trajectory: Trajectory, times: Float[np.ndarray, " M"], max_beyond_s: float = MAX_BEYOND_S
+) -> Float[np.ndarray, "M 4 4"]:
     """Evaluates a trajectory at every time: between samples however far apart, and beyond its ends.
 
     Beyond an end the twist of its last 0.2 s (two samples at least) goes on.
 
     Args:
       trajectory: timed poses.
-      times: s; at most 1 s outside the trajectory.
+      times: s.
+      max_beyond_s: how far outside the trajectory a time may be.
 
     Raises:
-      ValueError: a time more than 1 s outside; names the file.
+      ValueError: a time further outside; names the file.
     """
     stamps, poses = trajectory.timestamps, trajectory.poses
     beyond = np.maximum(stamps[0] - times, times - stamps[-1])
-    if (beyond > MAX_BEYOND_S).any():
+    if (beyond > max_beyond_s).any():
         raise ValueError(
-            f"{trajectory.path}: {(beyond > MAX_BEYOND_S).sum()} frames lie more than {MAX_BEYOND_S:g} s outside its "
+            f"{trajectory.path}: {(beyond > max_beyond_s).sum()} frames lie more than {max_beyond_s:g} s outside its "
             f"{stamps[0]:.3f} to {stamps[-1]:.3f} s, up to {beyond.max():.3f} s; use a smaller time offset"
         )
     if len(stamps) == 1:
