@@ -184,9 +184,7 @@ def test_no_frame_is_lost_at_another_offset(folder, offset):
     run = read_sequence(folder).at_offset(offset)
     assert len(run) == 10
     np.testing.assert_allclose(run.odom_from_base[:, 0, 3], 100 + np.arange(10) * 0.2 + offset, atol=1e-6)
-    with pytest.raises(
-        ValueError, match=r"odometry\.txt: \d+ frames lie more than 1\.02 s outside .*smaller"
-    ):
+    with pytest.raises(ValueError, match=r"odometry\.txt: \d+ frames lie more than 1\.02 s outside .*smaller"):
         run.at_offset(2 * offset)
 
 
