@@ -36,13 +36,27 @@ def closure_errors(
     truth_i: Float[np.ndarray, "K 3"], truth_j: Float[np.ndarray, "K 3"], measured: Float[np.ndarray, "K 3"]
 ) -> Float[np.ndarray, "K 2"]:
     """Position (m) and heading (rad) of measured against the true i_from_j; NaN where there is no truth."""
+    return _apart(_between(truth_i, truth_j), measured)
 
-    def between(a, b):
-        d = b - a
-        c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
-        return np.stack([c * d[:, 0] + s * d[:, 1], c * d[:, 1] - s * d[:, 0], d[:, 2]], 1)
 
-    error = between(between(truth_i, truth_j), measured)
+def closure_errors_between(
+    truth_i: Float[np.ndarray, "K 3"],
+    truth_j: Float[np.ndarray, "K 3"],
+    path_i: Float[np.ndarray, "K 3"],
+    path_j: Float[np.ndarray, "K 3"],
+) -> Float[np.ndarray, "K 2"]:
+    """As `closure_errors`, of what a path has between two of its poses."""
+    return _apart(_between(truth_i, truth_j), _between(path_i, path_j))
+
+
+def _between(a: Float[np.ndarray, "K 3"], b: Float[np.ndarray, "K 3"]) -> Float[np.ndarray, "K 3"]:
+    d = b - a
+    c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
+    return np.stack([c * d[:, 0] + s * d[:, 1], c * d[:, 1] - s * d[:, 0], d[:, 2]], 1)
+
+
+def _apart(true: Float[np.ndarray, "K 3"], measured: Float[np.ndarray, "K 3"]) -> Float[np.ndarray, "K 2"]:
+    error = _between(true, measured)
     heading = np.abs(np.arctan2(np.sin(error[:, 2]), np.cos(error[:, 2])))
     return np.stack([np.hypot(error[:, 0], error[:, 1]), heading], 1)
 
@@ -63,6 +77,30 @@ def closure_summary(errors: Float[np.ndarray, "K 2"], kept: Bool[np.ndarray, " K
                 "max": float(np.degrees(errors[:, 1].max())),
             },
         }
+    }
+
+
+def drift(truth: Float[np.ndarray, "N 3"], path: Float[np.ndarray, "N 3"], stretch_m: float = 10.0) -> dict[str, Any]:
+    """Drift of a path before any closure: median error over stretches of path, as a share of it and per metre.
+
+    Args:
+      truth: x, y, heading; NaN rows are left out.
+      path: the same, estimated.
+      stretch_m: length of a stretch by the truth.
+    """
+    known = np.isfinite(truth).all(1)
+    truth, path = truth[known], path[known]
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(truth[:, :2], axis=0), axis=1))])
+    end = np.searchsorted(along, along + stretch_m)
+    start = np.flatnonzero(end < len(along))
+    if not len(start):
+        return {}
+    errors = closure_errors_between(truth[start], truth[end[start]], path[start], path[end[start]])
+    return {
+        "stretch_m": stretch_m,
+        "stretches": len(start),
+        "position_share": float(np.sqrt(np.mean(errors[:, 0] ** 2)) / stretch_m),
+        "heading_deg_per_m": float(np.degrees(np.sqrt(np.mean(errors[:, 1] ** 2))) / stretch_m),
     }
 
 

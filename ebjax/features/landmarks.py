@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ebjax.features.matching import Features
 from ebjax.features.measure import lift
-from ebjax.geometry.camera import Camera
+from ebjax.geometry.camera import Camera, backproject, image_from_floor
 from ebjax.geometry.homography import apply
 from ebjax.views.run_view import RunView
 
@@ -25,6 +25,7 @@ class Landmarks:
     floor_points: Float[Array, "*n K 2"]  # on the floor, m
     points: Float[Array, "*n K 3"]  # by depth, m
     range_m: Float[Array, "*n K"]  # depth of `points`; 0 where there is none
+    pixels: Float[Array, "*n K 2"]  # in the raw image, px
 
 
 def located(
@@ -40,7 +41,7 @@ def located(
     keypoints = features.keypoints.astype(view.image_from_view.dtype)
     pixels = apply(view.image_from_view, keypoints)
     points, range_m = lift(pixels, depth_m.astype(pixels.dtype), camera)
-    return Landmarks(features, apply(view.floor_from_view, keypoints), points, range_m)
+    return Landmarks(features, apply(view.floor_from_view, keypoints), points, range_m, pixels)
 
 
 def take(landmarks: Landmarks, rows: Int[np.ndarray, " K"]) -> Landmarks:
@@ -52,3 +53,15 @@ def floor_error_m(landmarks: Landmarks) -> float:
     """Median height of the described floor points above z = 0 of base, m; 0 without depth."""
     height = landmarks.points[..., 2][landmarks.range_m > 0]
     return float(np.median(np.abs(height))) if height.size else 0.0
+
+
+def remounted_landmarks(landmarks: Landmarks, camera: Camera) -> Landmarks:
+    """Many keyframes' landmarks where another mount of the same camera puts them."""
+    shape = landmarks.pixels.shape
+    flat = jnp.asarray(landmarks.pixels.reshape(-1, 2))
+    floor = apply(jnp.linalg.inv(image_from_floor(camera)), flat)
+    pose = jnp.asarray(camera.base_from_camera, flat.dtype)
+    lifted = backproject(flat, jnp.asarray(landmarks.range_m.reshape(-1)), camera.intrinsics)
+    points = lifted @ pose[:3, :3].T + pose[None, :3, 3]
+    moved = dataclasses.replace(landmarks, floor_points=floor.reshape(shape), points=points.reshape(*shape[:-1], 3))
+    return jax.tree.map(np.asarray, moved)

@@ -22,7 +22,6 @@ from ebjax.paper.experiment import Experiment
 from ebjax.paper.retrieval import TURNED
 from ebjax.posegraph.falseloops import add_false_loops
 from ebjax.posegraph.lm import solve
-from ebjax.slam.pipeline import build_graph
 from ebjax.viz import experiments
 
 BASE = "base"
@@ -141,8 +140,7 @@ class Ablations:
 
         def run() -> dict[str, Any]:
             closed, _ = self._base()
-            config = self.experiment.pipeline
-            true = build_graph(closed.odometry, closed.result.candidates, closed.result.kept, config.odometry)
+            true = closed.result.path.graph(closed.result.candidates, closed.result.kept)
             found: dict[str, Any] = {kernel: {} for kernel in KERNELS}
             for share in self.scale.false_shares:
                 graphs = [add_false_loops(true, share, seed=seed) for seed in FALSE_SEEDS[: 1 if share == 0 else None]]

@@ -13,12 +13,13 @@ from jaxtyping import Bool, Float
 
 from ebjax.evaluation.run import closure_errors, closure_summary, reason_counts
 from ebjax.evaluation.trajectory import align_se2, arc_length_association, ate
+from ebjax.io.sequence import require_odometry
 from ebjax.io.trajectory import read
 from ebjax.paper.run import Run
 from ebjax.posegraph import init
 from ebjax.posegraph.g2o import read_g2o
 from ebjax.posegraph.lm import solve
-from ebjax.slam.pipeline import PipelineConfig, Result, build_graph
+from ebjax.slam.pipeline import PipelineConfig, Result
 from ebjax.slam.pipeline import run as run_pipeline
 from ebjax.slam.select import Measured
 from ebjax.slam.world import planar
@@ -55,8 +56,9 @@ class Closed:
 
     def path(self, kept: Bool[np.ndarray, " K"], config: PipelineConfig) -> Float[np.ndarray, "N 3"]:
         """The trajectory with some of the candidates as closures."""
-        graph = build_graph(self.odometry, self.result.candidates, kept, config.odometry)
-        return np.asarray(solve(graph, kernel=config.kernel, width=config.kernel_width, max_steps=100).poses)
+        graph = self.result.path.graph(self.result.candidates, kept)
+        poses = solve(graph, kernel=config.kernel, width=config.kernel_width, max_steps=100).poses
+        return self.result.path.everywhere(np.asarray(poses))
 
 
 def close_loops(run: Run, config: PipelineConfig) -> Closed:
@@ -65,7 +67,7 @@ def close_loops(run: Run, config: PipelineConfig) -> Closed:
     def load(k: int) -> tuple[np.ndarray, np.ndarray | None]:
         return run.sequence.rgb(k), run.sequence.depth(k) if run.sequence.has_depth else None
 
-    odometry = planar(run.sequence.odom_from_base)
+    odometry = planar(require_odometry(run.sequence))
     result = run_pipeline(load, run.sequence.timestamps, odometry, run.camera, run.view, config)
     c: Measured = result.candidates
     return Closed(run, odometry, result, closure_errors(run.truth[c.i], run.truth[c.j], c.i_from_j))

@@ -53,7 +53,7 @@ class Experiment:
         self.cells = Cells(out / "cells")
         self.tables: Tables = {}
         self.left_out: dict[str, str] = {}
-        self.pipeline = PipelineConfig(seed=seed)
+        self.pipeline = PipelineConfig(seed=seed, motion="wheels")
         self._configs: dict[str, Any] = {}
 
     def config(self, name: str) -> Any:

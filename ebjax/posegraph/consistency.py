@@ -34,7 +34,7 @@ class Loops(NamedTuple):
 
 def consistent_set(
     odometry_poses: Float[Array | np.ndarray, "N P"],
-    step_sigmas: Float[Array | np.ndarray, "*n d"] | Sequence[float],
+    steps: Float[Array | np.ndarray, "M d d"] | Float[Array | np.ndarray, "M d"] | Sequence[float],
     i: Int[Array | np.ndarray, " K"],
     j: Int[Array | np.ndarray, " K"],
     i_from_j: Float[Array | np.ndarray, "K P"],
@@ -51,7 +51,7 @@ def consistent_set(
 
     Args:
       odometry_poses: world_from_base along the path.
-      step_sigmas: standard deviations of one odometry step in its own frame, tangent order, for all or per step.
+      steps: covariance of every odometry step in its own frame, or standard deviations, per step or of all.
       i: row of the frame the closure is measured in.
       j: row of the frame it measures.
       i_from_j: the measurements.
@@ -62,8 +62,10 @@ def consistent_set(
     if len(i) == 0:
         return np.zeros(0, bool)
     d = covariance.shape[-1]
-    sigmas = np.broadcast_to(np.asarray(step_sigmas, float), (len(odometry_poses) - 1, d))
-    loops = make_loops(odometry_poses, sigmas[:, :, None] ** 2 * np.eye(d), i, j, i_from_j, covariance)
+    spread = np.asarray(steps, float)
+    if spread.ndim < 3:
+        spread = np.broadcast_to(spread, (len(odometry_poses) - 1, d))[:, :, None] ** 2 * np.eye(d)
+    loops = make_loops(odometry_poses, spread, i, j, i_from_j, covariance)
     consistent = np.asarray(all_cycles(loops)) <= (CHI2_99[d] if threshold is None else threshold)
     return largest_clique(consistent & consistent.T, np.asarray(weights, float))
 

@@ -14,7 +14,7 @@ import numpy as np
 import tyro
 
 from ebjax.command import dump_config, progress, run
-from ebjax.evaluation.run import closure_errors, closure_summary, reason_counts, spread_rows, trajectory_errors
+from ebjax.evaluation.run import closure_errors, closure_summary, drift, reason_counts, spread_rows, trajectory_errors
 from ebjax.features.landmarks import floor_error_m
 from ebjax.floors.__main__ import render_sequence
 from ebjax.floors.sequence import CorridorConfig
@@ -30,6 +30,7 @@ from ebjax.slam.select import SelectConfig
 from ebjax.slam.world import planar
 from ebjax.views.depth_floor import camera_from_depth
 from ebjax.views.run_view import choose_floor, from_camera, from_quad
+from ebjax.viz.motion import motion_lines, motion_metrics
 from ebjax.viz.run_folder import write_run
 
 Quad = tuple[float, float, float, float, float, float, float, float]
@@ -63,6 +64,8 @@ class Config(PipelineConfig):
     """Of the floor map, m."""
     max_time_difference_s: float = 0.02
     """How far apart in time an image may be from its depth image or pose, s."""
+    time_offset_s: float | Literal["auto"] = "auto"
+    """Added to the images' stamps, s; auto: estimated from turning rates where the odometry tells it."""
     min_coverage: float = 0.9
     """Share of frames that must have odometry (and depth)."""
     min_readable: float = 0.5
@@ -106,6 +109,8 @@ def main(config: Config) -> None:
         depth=config.depth == "sequence",
         max_time_difference_s=config.max_time_difference_s,
         min_coverage=config.min_coverage,
+        odometry=config.motion != "floor",
+        time_offset_s=0.0 if config.time_offset_s == "auto" else config.time_offset_s,
     )
     if config.camera is not None:
         sequence = with_camera(sequence, config.camera)
@@ -121,24 +126,36 @@ def main(config: Config) -> None:
     except ValueError as fault:
         raise ValueError(f"{config.camera or sequence.path / 'camera.json'}: {fault}") from None
 
-    odometry = planar(sequence.odom_from_base)
+    odometry = None if sequence.odom_from_base is None else planar(sequence.odom_from_base)
+    retimed = None
+    if odometry is not None and config.time_offset_s == "auto":
+
+        def retimed(offset: float) -> np.ndarray:
+            later = sequence.at_offset(offset).odom_from_base
+            assert later is not None
+            return planar(later)
+
     try:
         with contextlib.ExitStack() as at_end:
             known = remembering(config, at_end)
-            result = run_pipeline(frames.load, sequence.timestamps, odometry, camera, view, config, progress, known)
+            result = run_pipeline(
+                frames.load, sequence.timestamps, odometry, camera, view, config, progress, known, retimed
+            )
     except ValueError as fault:
         if not frames.broken:
             raise
         first = next(iter(frames.broken.values()))
         raise ValueError(f"{sequence.path / 'rgb.txt'}: {fault}; repair the images, first {first}") from None
     check_images(config, sequence, frames, result)
-    metrics = run_metrics(sequence, frames, result, view.centre_m)
+    if result.motion is not None and result.motion.offset.offset_s:
+        sequence = sequence.at_offset(result.motion.offset.offset_s)
+    metrics = run_metrics(sequence, frames, result, result.view.centre_m)
     metrics["seconds"] = {name: round(value, 3) for name, value in result.seconds.items()}
     metrics["ms_per_frame"] = round(1e3 * sum(result.seconds.values()) / len(sequence), 2)
     metrics["seconds"]["total"] = round(time.perf_counter() - started, 3)
     metrics["peak_memory_mb"] = round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, 1)
     with whole_folder(config.out) as folder:
-        write_run(folder, sequence, frames.load, result, view, metrics, config.map_metres_per_px)
+        write_run(folder, sequence, frames.load, result, metrics, config.map_metres_per_px)
         dump_config(config, folder / "config.yaml")
     print_summary(config, metrics)
 
@@ -213,8 +230,9 @@ def check_images(config: Config, sequence: Sequence, frames: Frames, result: Res
 def run_metrics(sequence: Sequence, frames: Frames, result: Result, centre_m: np.ndarray) -> dict[str, Any]:
     """What metrics.json says, times apart."""
     candidates, kept = result.candidates, result.kept
-    after = np.asarray(result.solution.poses)
-    travelled = float(np.linalg.norm(np.diff(planar(sequence.odom_from_base)[:, :2], axis=0), axis=1).sum())
+    before = result.path.everywhere(result.path.poses)
+    wheels = before if sequence.odom_from_base is None else planar(sequence.odom_from_base)
+    travelled = float(np.linalg.norm(np.diff(wheels[:, :2], axis=0), axis=1).sum())
     metrics: dict[str, Any] = {
         "sequence": str(sequence.path),
         "frames": len(sequence),
@@ -227,6 +245,7 @@ def run_metrics(sequence: Sequence, frames: Frames, result: Result, centre_m: np
         "closures_opposing": int((kept & candidates.opposing).sum()),
         "closures_by_depth": int((kept & result.by_depth).sum()),
         "reasons": reason_counts(result.reasons),
+        "motion": None if result.motion is None else motion_metrics(result.motion),
         "pose_graph": {
             "cost_before": float(result.solution.initial_cost),
             "cost_after": float(result.solution.cost),
@@ -237,7 +256,9 @@ def run_metrics(sequence: Sequence, frames: Frames, result: Result, centre_m: np
     if sequence.world_from_base is None:
         return metrics
     truth = planar(sequence.world_from_base)
-    metrics |= trajectory_errors(truth, planar(sequence.odom_from_base), after)
+    metrics |= trajectory_errors(truth, wheels, result.poses)
+    if result.motion is not None:
+        metrics |= {"drift": drift(truth, before)}
     errors = closure_errors(truth[candidates.i], truth[candidates.j], candidates.i_from_j)
     metrics |= closure_summary(errors, kept)
     valid, opposing, distance = (
@@ -267,6 +288,8 @@ def print_summary(config: Config, metrics: dict[str, Any]) -> None:
         f"{metrics['frames']} frames, {metrics['keyframes']} looked at, {metrics['candidates']} candidates verified, "
         f"{metrics['closures_kept']} loop closures kept ({metrics['closures_opposing']} from opposing views)"
     )
+    for line in motion_lines(metrics):
+        print(line)
     if truth := metrics.get("closures_against_truth"):
         print(
             f"closures within 5 cm and 1 degree of the truth: {truth['within_5cm_1deg']} of {truth['checked']}; "

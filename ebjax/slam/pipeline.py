@@ -17,25 +17,39 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ebjax.features.extractor import extractor
+from ebjax.features.landmarks import remounted_landmarks
 from ebjax.features.remember import remembered
 from ebjax.features.verify import Verified
 from ebjax.geometry.camera import Camera
 from ebjax.models.fast import Arithmetic
+from ebjax.odometry.motion import Motion, MotionConfig, fused_motion, measured
+from ebjax.odometry.wheels import WheelErrors
 from ebjax.places.descriptor import descriptor
 from ebjax.places.retrieve import LoopCandidates, comparable
 from ebjax.places.search import check_ranking, search
-from ebjax.posegraph.graph import PoseGraph, make_graph
+from ebjax.posegraph.graph import PoseGraph
 from ebjax.posegraph.levenberg import Solution
 from ebjax.posegraph.lm import cut_off, solve
 from ebjax.slam.describe import Described
+from ebjax.slam.follow import follow
 from ebjax.slam.keyframes import Load, Progress, describe_keyframes, moved_enough
-from ebjax.slam.select import KEPT, Measured, Odometry, SelectConfig, plausible, select
+from ebjax.slam.path import Path as RunPath
+from ebjax.slam.path import path_of_motion, path_of_wheels
+from ebjax.slam.select import KEPT, Measured, SelectConfig, plausible, select
 from ebjax.slam.verify import verify_pairs
-from ebjax.views.run_view import RunView
+from ebjax.views.run_view import RunView, remounted_view
 
 Remember = Callable[[str, Path | None], Callable[[Callable], Callable]]
 MIN_DEPTH_INLIERS = 8
 CONTRADICTED = "contradicts the corrected path"
+
+
+@dataclasses.dataclass(frozen=True)
+class MountConfig:
+    """How far the camera's mount is trusted."""
+
+    refine: Literal["tilt", "none"] = "tilt"
+    """Which of it is estimated with the run and put right where the floor contradicts it."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,10 +87,13 @@ class PipelineConfig:
     """How the pose graph survives false closures among those selected, as in `ebjax.posegraph.solve`."""
     kernel_width: float | None = None
     """Width of that kernel, standard deviations; None is 1, and for those that cut off the 99.9 % point."""
+    motion: Literal["wheels+floor", "floor", "wheels"] | None = None
+    """What measures the robot's steps; None: wheels+floor where the run has odometry, else floor."""
     seed: int = 0
     """Of the vocabulary and of RANSAC."""
     select: SelectConfig = dataclasses.field(default_factory=SelectConfig)
-    odometry: Odometry = dataclasses.field(default_factory=Odometry)
+    odometry: WheelErrors = dataclasses.field(default_factory=WheelErrors)
+    mount: MountConfig = dataclasses.field(default_factory=MountConfig)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -86,25 +103,35 @@ class Result:
     Attributes:
       keyframes: frame numbers that were looked at.
       described: their views and features.
+      camera: with the mount that the run settled on.
+      view: the floor view, under that camera.
+      motion: how the robot moved between keyframes; None where wheels alone say it.
       ranked: the retrieval's candidates, rows and columns of `keyframes`.
       verified: matches of the verified candidates.
       candidates: verified candidates, measured.
       by_depth: whether depth measured them (else the metric floor).
       reasons: of each: "kept", or why not.
-      graph: odometry and the kept closures.
+      path: what the closures corrected.
+      graph: the path and the kept closures.
       solution: its optimum.
+      poses: of all frames: x, y (m), heading (rad).
       seconds: of each stage.
     """
 
     keyframes: Int[np.ndarray, " N"]
     described: Described
+    camera: Camera
+    view: RunView
+    motion: Motion | None
     ranked: LoopCandidates
     verified: Verified
     candidates: Measured
     by_depth: Bool[np.ndarray, " K"]
     reasons: list[str]
+    path: RunPath
     graph: PoseGraph
     solution: Solution
+    poses: Float[np.ndarray, "F 3"]
     seconds: dict[str, float]
 
     @property
@@ -116,33 +143,40 @@ class Result:
 def run(
     load: Load,
     timestamps: Float[np.ndarray, " F"],
-    odom_from_base: Float[np.ndarray, "F 3"],
+    odom_from_base: Float[np.ndarray, "F 3"] | None,
     camera: Camera,
     view: RunView,
     config: PipelineConfig,
     progress: Progress = lambda items, total, label: iter(items),
     remember: Remember | None = None,
+    odometry_at: Callable[[float], Float[np.ndarray, "F 3"]] | None = None,
+    ignored: Bool[np.ndarray, "H W"] | None = None,
 ) -> Result:
     """Runs the pipeline on a whole sequence.
 
     Args:
       load: frame number -> (RGB uint8, depth in metres or None); None for a frame that cannot be read.
       timestamps: s, increasing.
-      odom_from_base: x, y (m) and heading (rad) of every frame.
+      odom_from_base: x, y (m) and heading (rad) of every frame; None without wheels.
       camera: of the run.
       view: the floor it looks at.
       config: see there.
       progress: wraps the long loop.
       remember: of a network's name and weights, gives what wraps its functions so that they look up what they know.
+      odometry_at: (what is added to the images' stamps, s) -> odometry of every frame: the offset is then estimated.
+      ignored: pixels of the image that are no world, such as the robot's own body.
 
     Raises:
-      ValueError: fewer than two frames could be read.
+      ValueError: fewer than two frames could be read; wheels are asked for and there is no odometry.
     """
     seconds: dict[str, float] = {}
 
     def stage(name: str, start: float) -> None:
         seconds[name] = time.perf_counter() - start
 
+    way = config.motion or ("floor" if odom_from_base is None else "wheels+floor")
+    if odom_from_base is None and way != "floor":
+        raise ValueError(f"--motion {way} needs odometry; run with --motion floor")
     start = time.perf_counter()
     networks = config.weights, config.arithmetic
     chosen, place = extractor(config.extractor, *networks), descriptor(config.descriptor, *networks)
@@ -151,14 +185,63 @@ def run(
         chosen = remembered(chosen, remember(config.extractor, chosen.weights))
     if remember is not None and not place.jitted:
         place = dataclasses.replace(place, look=remember(config.descriptor, place.weights)(place.look))
-    frames = moved_enough(odom_from_base, config.keyframe_m, config.keyframe_deg)
+    if way == "floor" or odom_from_base is None:
+        frames = list(range(len(timestamps)))
+    else:
+        frames = moved_enough(odom_from_base, config.keyframe_m, config.keyframe_deg)
     keyframes, described = describe_keyframes(load, frames, camera, view, chosen, place, progress)
     stage("describe", start)
 
     start = time.perf_counter()
-    travelled = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(odom_from_base[:, :2], axis=0), axis=1))])
+    motion = None
+    if way == "wheels":
+        assert odom_from_base is not None
+        path = path_of_wheels(odom_from_base, config.odometry)
+    else:
+        steps = MotionConfig(
+            config.tolerance_m, config.mount.refine != "none", odometry_at is not None, config.seed, config.odometry
+        )
+        if way == "floor":
+            keyframes, described, everywhere = follow(
+                described, keyframes, timestamps, camera, config.keyframe_m, config.keyframe_deg, steps
+            )
+            begin, wheels_at = everywhere[keyframes], None
+        else:
+            assert odom_from_base is not None
+            everywhere = odom_from_base
+            begin = everywhere[keyframes]
+
+            def wheels_at(offset: float) -> Float[np.ndarray, "N 3"]:
+                return begin if not offset or odometry_at is None else odometry_at(offset)[keyframes]
+
+        motion, landmarks = fused_motion(
+            keyframes,
+            timestamps[keyframes],
+            described.landmarks,
+            np.asarray(described.view),
+            view,
+            camera,
+            begin,
+            wheels_at,
+            load,
+            steps,
+            ignored,
+        )
+        if motion.offset.offset_s and odometry_at is not None:
+            everywhere = odometry_at(motion.offset.offset_s)
+        if motion.tilt.applied:
+            camera, view = motion.camera, remounted_view(view, motion.camera)
+            turned = described.turned
+            turned = None if turned is None else remounted_landmarks(turned, camera)
+            described = dataclasses.replace(described, landmarks=landmarks, turned=turned)
+        path = path_of_motion(motion, everywhere)
+    rows = np.searchsorted(path.frames, keyframes)
+    stage("motion", start)
+
+    start = time.perf_counter()
+    travelled = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(path.poses[:, :2], axis=0), axis=1))])
     allowed = comparable(
-        jnp.asarray(timestamps[keyframes]), jnp.asarray(travelled[keyframes]), config.min_gap_s, config.min_gap_m
+        jnp.asarray(timestamps[keyframes]), jnp.asarray(travelled[rows]), config.min_gap_s, config.min_gap_m
     )
     places = place.unite(described.place, seed=config.seed)
     ranked = jax.tree.map(np.asarray, search(places, allowed, ranking=config.ranking))
@@ -166,20 +249,25 @@ def run(
 
     start = time.perf_counter()
     believable = plausible(
-        keyframes[ranked.i],
-        keyframes[ranked.j],
-        odom_from_base,
+        rows[ranked.i],
+        rows[ranked.j],
+        path.poses,
         view.centre_m,
         view.extent_m,
-        config.odometry,
+        path.covariance,
         config.select.odometry_sigmas,
     )
     pick = best_of_each_direction(np.asarray(ranked.valid) & believable, np.asarray(ranked.opposing), config.verify)
     i, j, opposing, distance = (a[pick] for a in (ranked.i, ranked.j, ranked.opposing, ranked.distance))
-    verified, floor, depth, with_depth = verify_pairs(
-        described, chosen, i, j, opposing, tolerance_m=config.tolerance_m, seed=config.seed
+    verified, floor, depth, with_depth, matches = verify_pairs(
+        described, chosen, camera, i, j, opposing, tolerance_m=config.tolerance_m, seed=config.seed
     )
-    by_depth = with_depth >= MIN_DEPTH_INLIERS
+    if motion is None:
+        by_depth = with_depth >= MIN_DEPTH_INLIERS
+        i_from_j = np.where(by_depth[:, None], depth.i_from_j, floor.i_from_j).astype(np.float64)
+        covariance = np.where(by_depth[:, None, None], depth.covariance, floor.covariance).astype(np.float64)
+    else:
+        i_from_j, covariance, by_depth = measured(matches, camera, config.tolerance_m)
     candidates = Measured(
         keyframes[i],
         keyframes[j],
@@ -187,26 +275,44 @@ def run(
         distance,
         np.asarray(verified.inliers).sum(-1),
         np.asarray(verified.matched).sum(-1),
-        np.where(by_depth[:, None], depth.i_from_j, floor.i_from_j).astype(np.float64),
-        np.where(by_depth[:, None, None], depth.covariance, floor.covariance).astype(np.float64),
+        i_from_j,
+        covariance,
     )
     stage("verify", start)
 
     start = time.perf_counter()
-    reasons = select(candidates, odom_from_base, config.odometry, config.select)
+    ends = dataclasses.replace(candidates, i=rows[i], j=rows[j])
+    reasons = select(ends, path.poses, path.covariance, config.select)
     kept = np.array([reason == KEPT for reason in reasons], bool)
     stage("select", start)
 
     start = time.perf_counter()
-    graph = build_graph(odom_from_base, candidates, kept, config.odometry)
+    graph = path.graph(candidates, kept)
     solution = solve(graph, kernel=config.kernel, width=config.kernel_width, max_steps=100)
     cut = cut_off(graph, solution.poses, kernel=config.kernel, width=config.kernel_width)
     if cut.any():
-        for k in np.flatnonzero(kept)[cut[len(odom_from_base) - 1 :]]:
+        for k in np.flatnonzero(kept)[cut[len(path.edges.i) :]]:
             reasons[k], kept[k] = CONTRADICTED, False
-        graph = build_graph(odom_from_base, candidates, kept, config.odometry)
+        graph = path.graph(candidates, kept)
+    poses = path.everywhere(np.asarray(solution.poses))
     stage("pose graph", start)
-    return Result(keyframes, described, ranked, verified, candidates, by_depth, reasons, graph, solution, seconds)
+    return Result(
+        keyframes,
+        described,
+        camera,
+        view,
+        motion,
+        ranked,
+        verified,
+        candidates,
+        by_depth,
+        reasons,
+        path,
+        graph,
+        solution,
+        poses,
+        seconds,
+    )
 
 
 def best_of_each_direction(
@@ -218,28 +324,3 @@ def best_of_each_direction(
         mine = valid & (opposing == way)
         pick |= mine & (np.cumsum(mine, axis=1) <= count)
     return pick
-
-
-def build_graph(
-    odom_from_base: Float[np.ndarray, "F 3"],
-    candidates: Measured,
-    kept: Bool[np.ndarray, " K"],
-    odometry: Odometry,
-) -> PoseGraph:
-    """Odometry from frame to frame and the kept closures; the robust kernel applies to closures only."""
-    frames = len(odom_from_base)
-    heading = odom_from_base[:-1, 2]
-    step = np.diff(odom_from_base, axis=0)
-    c, s = np.cos(heading), np.sin(heading)
-    local = np.stack([c * step[:, 0] + s * step[:, 1], c * step[:, 1] - s * step[:, 0], step[:, 2]], 1)
-    steps = odometry.step_sigmas(odom_from_base)
-    chain = np.einsum("na,ab->nab", steps**-2.0, np.eye(3))
-    rows = np.arange(frames - 1)
-    return make_graph(
-        odom_from_base.astype(np.float64),
-        np.concatenate([rows, candidates.i[kept]]),
-        np.concatenate([rows + 1, candidates.j[kept]]),
-        np.concatenate([local, candidates.i_from_j[kept]]).astype(np.float64),
-        np.concatenate([chain, np.linalg.inv(candidates.covariance[kept])]).astype(np.float64),
-        robust=np.concatenate([np.zeros(frames - 1, bool), np.ones(int(kept.sum()), bool)]),
-    )

@@ -39,31 +39,8 @@ class SelectConfig:
 
 
 @dataclasses.dataclass(frozen=True)
-class Odometry:
-    """How wheel odometry errs: what one step's standard deviation is made of."""
-
-    translation: float = 0.03
-    """Per metre travelled, along and across."""
-    heading_deg_per_sqrt_m: float = 2.0
-    """Random walk of the heading, degrees per square root of a metre."""
-    turning: float = 0.03
-    """Of the heading, per radian turned."""
-
-    def step_sigmas(self, odom_from_base: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "M 3"]:
-        """Standard deviation (x m, y m, heading rad) of each of the N - 1 steps, in the step's own frame."""
-        step = np.diff(odom_from_base, axis=0)
-        distance = np.linalg.norm(step[:, :2], axis=1)
-        turned = np.abs(np.arctan2(np.sin(step[:, 2]), np.cos(step[:, 2])))
-        along = self.translation * distance + 1e-3
-        heading = np.hypot(
-            np.radians(self.heading_deg_per_sqrt_m) * np.sqrt(distance), self.turning * turned
-        ) + np.radians(0.02)
-        return np.stack([along, along, heading], 1)
-
-
-@dataclasses.dataclass(frozen=True)
 class Measured:
-    """Measured candidates, one a row: frames i > j, direction, distance of the descriptors, matches, motion."""
+    """Measured candidates, one a row: i > j, direction, distance of the descriptors, matches, motion."""
 
     i: Int[np.ndarray, " K"]
     j: Int[np.ndarray, " K"]
@@ -78,10 +55,17 @@ class Measured:
 def select(
     candidates: Measured,
     odom_from_base: Float[np.ndarray, "N 3"],
-    odometry: Odometry,
+    steps: Float[np.ndarray, "M 3 3"],
     config: SelectConfig,
 ) -> list[str]:
-    """Returns the reason of every candidate: "kept", or why it was left out."""
+    """Returns the reason of every candidate: "kept", or why it was left out.
+
+    Args:
+      candidates: rows i, j of the path.
+      odom_from_base: the path: x, y (m), heading (rad).
+      steps: covariance of each of its steps, right tangent.
+      config: see there.
+    """
     count = len(candidates.i)
     reasons = np.full(count, "", object)
 
@@ -105,7 +89,6 @@ def select(
         (sigma[:, :2].max(1, initial=0) > config.max_sigma_m) | (np.degrees(sigma[:, 2]) > config.max_sigma_deg),
         lambda k: f"uncertain: {sigma[k, :2].max():.3f} m, {np.degrees(sigma[k, 2]):.2f} deg",
     )
-    steps = odometry.step_sigmas(odom_from_base)
     contradiction = odometry_distance(candidates, odom_from_base, steps)
     reject(
         contradiction > config.odometry_sigmas,
@@ -142,7 +125,7 @@ def select(
 
 def drift_sigma_m(
     odom_from_base: Float[np.ndarray, "N 3"],
-    steps: Float[np.ndarray, "M 3"],
+    steps: Float[np.ndarray, "M 3 3"],
     i: Int[np.ndarray, " K"],
     j: Int[np.ndarray, " K"],
 ) -> Float[np.ndarray, " K"]:
@@ -152,10 +135,10 @@ def drift_sigma_m(
     sum (sigma_x^2 + sigma_y^2) + sum sigma_theta^2 |p_j - p_step|^2, by running sums, whatever the number of pairs.
     """
     end = odom_from_base[1:, :2]
-    turn = steps[:, 2] ** 2
+    turn = steps[:, 2, 2]
     terms = np.concatenate(
         [
-            np.sum(steps[:, :2] ** 2, 1, keepdims=True),
+            (steps[:, 0, 0] + steps[:, 1, 1])[:, None],
             turn[:, None],
             turn[:, None] * end,
             turn[:, None] * np.sum(end**2, 1)[:, None],
@@ -170,7 +153,7 @@ def drift_sigma_m(
 
 
 def odometry_distance(
-    candidates: Measured, odom_from_base: Float[np.ndarray, "N 3"], steps: Float[np.ndarray, "M 3"]
+    candidates: Measured, odom_from_base: Float[np.ndarray, "N 3"], steps: Float[np.ndarray, "M 3 3"]
 ) -> Float[np.ndarray, " K"]:
     """How many standard deviations of the odometry between them the measured i_from_j is away from it, in position."""
     i, j = candidates.i, candidates.j
@@ -193,7 +176,7 @@ def plausible(
     odom_from_base: Float[np.ndarray, "F 3"],
     view_centre_m: Float[np.ndarray, "2"],
     view_extent_m: float,
-    odometry: Odometry,
+    steps: Float[np.ndarray, "M 3 3"],
     sigmas: float,
 ) -> Bool[np.ndarray, "N K"]:
     """Pairs of frames whose floor views can overlap if odometry errs by so many standard deviations at most.
@@ -202,7 +185,7 @@ def plausible(
     """
     centre = on_floor(odom_from_base, np.broadcast_to(view_centre_m, (len(odom_from_base), 2)))
     gap = np.linalg.norm(centre[i.ravel()] - centre[j.ravel()], axis=1)
-    drift = drift_sigma_m(odom_from_base, odometry.step_sigmas(odom_from_base), i.ravel(), j.ravel())
+    drift = drift_sigma_m(odom_from_base, steps, i.ravel(), j.ravel())
     return (gap <= view_extent_m + sigmas * drift).reshape(i.shape)
 
 

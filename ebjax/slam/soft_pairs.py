@@ -12,12 +12,13 @@ from jaxtyping import Float
 
 from ebjax.geometry.camera import FloorView, field_of_view
 from ebjax.geometry.homography import apply
+from ebjax.odometry.wheels import WheelErrors
 from ebjax.places.descriptor_map import MIN_SUPPORT
 from ebjax.places.retrieve import comparable, shortlist
 from ebjax.posegraph.graph import PoseGraph, make_graph
 from ebjax.posegraph.linear import analyse
-from ebjax.slam.pipeline import build_graph
-from ebjax.slam.select import Measured, Odometry
+from ebjax.slam.path import path_of_wheels
+from ebjax.slam.select import Measured
 from ebjax.slam.soft import (
     Pairs,
     Parameters,
@@ -34,11 +35,11 @@ MARGIN_PX = 2.0
 """What counts as seen lies so far inside the image at least."""
 
 
-def chain_of(odom_from_base: Float[np.ndarray, "N 3"], odometry: Odometry) -> PoseGraph:
+def chain_of(odom_from_base: Float[np.ndarray, "N 3"], odometry: WheelErrors) -> PoseGraph:
     """Odometry from frame to frame as the pipeline takes it, without closures."""
     none, zero = np.zeros(0, int), np.zeros(0)
     nothing = Measured(none, none, none > 0, zero, none, none, np.zeros((0, 3)), np.zeros((0, 3, 3)))
-    return build_graph(odom_from_base, nothing, none > 0, odometry)
+    return path_of_wheels(odom_from_base, odometry).graph(nothing, none > 0)
 
 
 def grid(floor: FloorView, stride_m: float) -> Float[np.ndarray, "K 2"]:

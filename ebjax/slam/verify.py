@@ -1,4 +1,4 @@
-"""Verification of a run's loop candidates, many pairs of keyframes a call: matches, RANSAC, two measurements each."""
+"""Verification of pairs of a run's keyframes, whatever side each looks from."""
 
 import dataclasses
 
@@ -9,56 +9,28 @@ from jaxtyping import Bool, Int
 
 from ebjax.features.extractor import Extractor
 from ebjax.features.landmarks import Landmarks, take
-from ebjax.features.measure import LoopMeasurement, measure_depth, measure_floor
-from ebjax.features.verify import Verified, verify
+from ebjax.features.verify_pairs import Found, verify_blocks
+from ebjax.geometry.camera import Camera
 from ebjax.slam.describe import Described
-
-PAIRS_A_CALL = 64
 
 
 def verify_pairs(
     described: Described,
     chosen: Extractor,
+    camera: Camera,
     i: Int[np.ndarray, " K"],
     j: Int[np.ndarray, " K"],
     opposing: Bool[np.ndarray, " K"],
     *,
     tolerance_m: float,
     seed: int,
-) -> tuple[Verified, LoopMeasurement, LoopMeasurement, Int[np.ndarray, " K"]]:
-    """Verifies and measures pairs of keyframes: by the metric floor, by depth, and how many inliers have depth."""
+) -> Found:
+    """Verifies and measures pairs of keyframes, rows of `described`; see `verify_blocks`."""
 
-    @jax.jit
-    def block(query: Landmarks, reference: Landmarks, keys):
-        def one(args):
-            ours, theirs, key = args
-            found = verify(
-                ours.features,
-                theirs.features,
-                ours.floor_points,
-                theirs.floor_points,
-                key=key,
-                tolerance=tolerance_m,
-            )
-            q, r = found.query, found.reference
-            floor = measure_floor(ours.floor_points[q], theirs.floor_points[r], found.inliers)
-            deep = found.inliers & (ours.range_m[q] > 0) & (theirs.range_m[r] > 0)
-            range_m = jnp.maximum(ours.range_m[q], theirs.range_m[r])
-            depth = measure_depth(ours.points[q], theirs.points[r], deep, range_m)
-            return found, floor, depth, deep.sum()
+    def pick(a, b, facing):
+        return take(described.landmarks, a), seen_from(described, chosen, b, facing)
 
-        return jax.lax.map(one, (query, reference, keys))
-
-    keys = jax.random.split(jax.random.key(seed), max(len(i), 1))
-    results = []
-    for start in range(0, max(len(i), 1), PAIRS_A_CALL):
-        rows = np.arange(start, start + PAIRS_A_CALL) % max(len(i), 1)  # the last block is filled up: one shape
-        a, b = (i[rows], j[rows]) if len(i) else (np.zeros(PAIRS_A_CALL, int),) * 2
-        facing = opposing[rows] if len(i) else np.zeros(PAIRS_A_CALL, bool)
-        query, reference = take(described.landmarks, a), seen_from(described, chosen, b, facing)
-        results.append(jax.tree.map(np.asarray, block(query, reference, keys[rows])))
-    joined = jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(i)], *results)
-    return joined
+    return verify_blocks(pick, camera, i, j, opposing, tolerance_m=tolerance_m, seed=seed)
 
 
 def seen_from(

@@ -23,8 +23,8 @@ from ebjax.geometry.camera import Camera
 from ebjax.geometry.mount import NAMES, base_from_mounted_camera, mount_of
 from ebjax.io.atomic import whole_folder
 from ebjax.io.camera_file import CameraFile, write_camera
-from ebjax.io.sequence import BrokenFrame, Sequence, read_sequence
-from ebjax.slam.select import Odometry
+from ebjax.io.sequence import BrokenFrame, Sequence, read_sequence, require_odometry
+from ebjax.odometry.wheels import WheelErrors
 from ebjax.slam.world import planar
 from ebjax.train.calibrate_mount import calibrate, deviations, floor_distance_m
 from ebjax.train.calibrate_pairs import KEYPOINT_PX, FloorPairs
@@ -66,7 +66,7 @@ class Config:
     """Pairs of frames that are looked at, at most."""
     metres_per_px: float = 0.01
     """Of the floor views, m."""
-    odometry: Odometry = dataclasses.field(default_factory=Odometry)
+    odometry: WheelErrors = dataclasses.field(default_factory=WheelErrors)
 
 
 def run(config: Config, out: Path, *, resume: bool) -> None:
@@ -95,7 +95,7 @@ def run(config: Config, out: Path, *, resume: bool) -> None:
     try:
         found, pairs = calibrate(
             lambda k: readable(sequence.rgb, k),
-            planar(sequence.odom_from_base),
+            planar(require_odometry(sequence, "calibration")),
             camera_at(sequence.camera, start),
             sigma,
             config.odometry,

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from ebjax.geometry.camera import Camera
 from ebjax.geometry.homography import apply as apply_homography
 from ebjax.geometry.mount import base_from_mounted_camera, mount_of
-from ebjax.slam.select import Odometry
+from ebjax.odometry.wheels import WheelErrors
 from ebjax.train.calibrate_pairs import FloorPairs, Load, choose_pairs, match_pairs
 from ebjax.train.calibrate_solve import Solved, count_agreeing, curvature_sigma, on_floor, residuals, solve
 from ebjax.views.run_view import choose_floor, from_camera
@@ -47,7 +47,7 @@ def calibrate(
     odom_from_base: Float[np.ndarray, "F 3"],
     camera: Camera,
     sigma: Float[np.ndarray, "6"],
-    odometry: Odometry,
+    odometry: WheelErrors,
     *,
     pairs: int,
     metres_per_px: float,

@@ -18,7 +18,7 @@ from ebjax.features.upright import extract
 from ebjax.geometry.camera import Camera
 from ebjax.geometry.homography import Arrays, denominator
 from ebjax.geometry.homography import apply as apply_homography
-from ebjax.slam.select import Odometry
+from ebjax.odometry.wheels import WheelErrors
 from ebjax.views.floor_view import floor_view, view_taps
 from ebjax.views.run_view import RunView
 
@@ -67,7 +67,7 @@ def motion_noise(
     odom_from_base: Float[np.ndarray, "F 3"],
     first: Int[np.ndarray, " P"],
     second: Int[np.ndarray, " P"],
-    odometry: Odometry,
+    odometry: WheelErrors,
 ) -> Float[np.ndarray, "P 3 3"]:
     """Lower Cholesky factor of the covariance of `relative_motion`, to first order.
 
@@ -155,7 +155,7 @@ def match_pairs(
     odom_from_base: Float[np.ndarray, "F 3"],
     camera: Camera,
     view: RunView,
-    odometry: Odometry,
+    odometry: WheelErrors,
     progress: Callable = lambda items, total, label: iter(items),
 ) -> FloorPairs:
     """Finds the corners of the floor views and matches them, the most distinctive first.

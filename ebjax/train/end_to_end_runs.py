@@ -20,7 +20,7 @@ from ebjax.geometry.camera import Camera
 from ebjax.geometry.mount import Mounting, remounted
 from ebjax.io.atomic import whole_file
 from ebjax.models.luma import luma
-from ebjax.slam.select import Odometry
+from ebjax.odometry.wheels import WheelErrors
 from ebjax.slam.soft import SoftRun
 from ebjax.slam.soft_pairs import chain_of
 from ebjax.slam.world import planar
@@ -100,7 +100,7 @@ def load_run(config: CorridorConfig, wrong: Mounting, folder: Path) -> SoftRun:
     return SoftRun(
         jnp.asarray(found["images"][..., None], jnp.float32) / 255,
         jnp.asarray(found["times_s"]),
-        chain_of(found["odom_from_base"], Odometry()),
+        chain_of(found["odom_from_base"], WheelErrors()),
         remounted(true, wrong),
         jnp.asarray(found["world_from_base"][:, :2]),
     )

@@ -20,7 +20,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from ebjax.command import progress
 from ebjax.geometry.camera import Camera
 from ebjax.io.atomic import whole_file
-from ebjax.io.sequence import BrokenFrame, read_sequence
+from ebjax.io.sequence import BrokenFrame, read_sequence, require_odometry
 from ebjax.models.eye import Eye
 from ebjax.models.floornet import FloorNet, fitted, open_floornet
 from ebjax.models.luma import luma
@@ -209,7 +209,7 @@ def run(config: Config, out: Path, *, resume: bool) -> None:
         except BrokenFrame:
             return None
 
-    odometry = planar(sequence.odom_from_base)
+    odometry = planar(require_odometry(sequence, "fine-tuning"))
     result = run_pipeline(load, sequence.timestamps, odometry, camera, view, config.slam, progress)
     lesson = taught(result, view, config.reach_m)
     apart_m = view.extent_m / 2  # places that overlap more would be each other's rivals

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
+from scipy.ndimage import maximum_filter
 
 from ebjax.geometry.camera import Camera, FloorView, field_of_view, image_from_floor, image_from_view
 from ebjax.geometry.homography import apply, from_four_points, orient
@@ -20,6 +21,8 @@ MAX_GROUND_SAMPLE_M = 0.025
 MAX_LENGTH_M = 2.0
 MIN_LENGTH_M = 0.4
 QUAD_PX = 200
+IGNORED_MARGIN_PX = 2
+LEAST_SEEN = 0.1
 
 
 @typing.no_type_check
@@ -127,3 +130,40 @@ def from_quad(
     seen = field_of_view(homography, size, (camera.height, camera.width), 1.0)
     floor_from_image = jnp.linalg.inv(jnp.asarray(image_from_floor(camera), homography.dtype))
     return RunView(homography, floor_from_image @ homography, seen)
+
+
+def without(view: RunView, ignored: Bool[np.ndarray, "H W"]) -> RunView:
+    """The view with `seen` false where an image pixel within 2 px is ignored.
+
+    Args:
+      view: of images of the mask's size.
+      ignored: image pixels that show no floor.
+
+    Raises:
+      ValueError: less than 10 % of what the view sees would be left.
+    """
+    grown = maximum_filter(ignored, 2 * IGNORED_MARGIN_PX + 1, mode="constant")
+    height, width = view.size
+    # Corners and edges too: near the camera a view pixel can be coarser than the margin.
+    x, y = np.meshgrid(np.arange(-0.5, width, 0.5), np.arange(-0.5, height, 0.5))
+    pixels = np.stack([x.ravel(), y.ravel()], axis=1)
+    there = np.nan_to_num(np.asarray(apply(view.image_from_view, pixels)), nan=-1.0)
+    column, row = np.rint(there).clip(-1, max(grown.shape)).astype(int).T
+    inside = (row >= 0) & (column >= 0) & (row < grown.shape[0]) & (column < grown.shape[1])
+    hit = np.zeros(len(pixels), bool)
+    hit[inside] = grown[row[inside], column[inside]]
+    free = ~maximum_filter(hit.reshape(2 * height + 1, 2 * width + 1), 3)[1::2, 1::2]
+    left = np.asarray(view.seen) & free
+    share = left.sum() / max(1, int(np.asarray(view.seen).sum()))
+    if share < LEAST_SEEN:
+        raise ValueError(
+            f"the mask leaves {share:.1%} of the floor view, at least {LEAST_SEEN:.0%} is needed; "
+            "correct the mask, or choose a part of the floor that it leaves free by --quad"
+        )
+    return dataclasses.replace(view, seen=jnp.asarray(left))
+
+
+def remounted_view(view: RunView, mounted: Camera) -> RunView:
+    """The same pixels of the image, where another mount of the camera puts them on the floor."""
+    floor_from_image = jnp.linalg.inv(jnp.asarray(image_from_floor(mounted), view.image_from_view.dtype))
+    return dataclasses.replace(view, floor_from_view=floor_from_image @ view.image_from_view)

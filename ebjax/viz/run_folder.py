@@ -21,12 +21,14 @@ from ebjax.slam.select import THINNED
 from ebjax.slam.world import matrices, planar
 from ebjax.views.run_view import RunView
 from ebjax.viz import figures
+from ebjax.viz.motion import entries, write_steps
 from ebjax.viz.report import report
 from ebjax.viz.run_page import run_page
 
 COLUMNS = (
     *("i", "j", "name_i", "name_j", "time_i_s", "time_j_s", "direction", "distance", "inliers", "matches"),
-    *("x_m", "y_m", "theta_rad", "sigma_x_m", "sigma_y_m", "sigma_theta_rad", "measured_by", "kept", "reason"),
+    *("x_m", "y_m", "theta_rad", "cov_xx", "cov_xy", "cov_xt", "cov_yy", "cov_yt", "cov_tt"),
+    *("measured_by", "kept", "reason"),
 )
 
 
@@ -35,7 +37,6 @@ def write_run(
     sequence: Sequence,
     load: Load,
     result: Result,
-    view: RunView,
     metrics: dict[str, Any],
     map_metres_per_px: float,
 ) -> None:
@@ -46,14 +47,14 @@ def write_run(
       sequence: what was run.
       load: frame number -> (RGB, depth), or None.
       result: of the pipeline.
-      view: the run's floor view.
       metrics: what metrics.json is to hold.
       map_metres_per_px: of the floor map.
     """
-    candidates, kept = result.candidates, result.kept
-    after = np.asarray(result.solution.poses)
+    candidates, kept, view = result.candidates, result.kept, result.view
+    after = result.poses
     poses = matrices(after, like=sequence.odom_from_base)
-    poses[:, 2, 3] = sequence.odom_from_base[:, 2, 3]
+    if sequence.odom_from_base is not None:
+        poses[:, 2, 3] = sequence.odom_from_base[:, 2, 3]
     chosen = np.flatnonzero(kept)
     seen = np.asarray(view.seen)
     floor = mosaic(
@@ -62,7 +63,7 @@ def write_run(
     )  # fmt: skip
     closures = np.stack([candidates.i[chosen], candidates.j[chosen]], 1)
     pngs = {
-        "trajectory": trajectory_figure(sequence, after, closures),
+        "trajectory": trajectory_figure(sequence, result, closures),
         "floor_map": figures.floor_map(floor.image, floor.extent, after[:, :2], closures),
         "candidates": figures.candidates(
             np.stack([candidates.j, candidates.i], 1), 1 - candidates.distance, kept, len(sequence)
@@ -75,8 +76,10 @@ def write_run(
     page = run_page(sequence.path.name, metrics, pngs, [f for f in best if f], [f for f in rejected if f], table)
     write_tum(folder / "trajectory.tum", sequence.timestamps, poses, "base_link; starts at odometry's first pose")
     write_closures(folder / "loop_closures.csv", sequence, result)
+    if result.motion is not None:
+        write_steps(folder / "steps.csv", sequence, result.motion)
     solved = dataclasses.replace(result.graph, poses=result.solution.poses)
-    (folder / "pose_graph.g2o").write_text(format_g2o(solved))
+    (folder / "pose_graph.g2o").write_text(format_g2o(solved, result.path.frames))
     (folder / "metrics.json").write_text(json.dumps(metrics, indent=2) + "\n")
     (folder / "floor_map.png").write_bytes(pngs["floor_map"])
     (folder / "trajectory.png").write_bytes(pngs["trajectory"])
@@ -92,10 +95,13 @@ def closure_row(sequence: Sequence, result: Result, k: int) -> list[Any]:
     return [sequence.names[c.i[k]], sequence.names[c.j[k]], side, *counts, x, y, float(np.degrees(heading))]
 
 
-def trajectory_figure(sequence: Sequence, after: np.ndarray, closures: np.ndarray) -> bytes:
+def trajectory_figure(sequence: Sequence, result: Result, closures: np.ndarray) -> bytes:
     """Before, after and truth; with truth, each path aligned to it as its ATE is."""
-    before = planar(sequence.odom_from_base)[:, :2]
-    paths = [before, after[:, :2]]
+    if sequence.odom_from_base is None:
+        before = result.path.everywhere(result.path.poses)[:, :2]
+    else:
+        before = planar(sequence.odom_from_base)[:, :2]
+    paths = [before, result.poses[:, :2]]
     if sequence.world_from_base is None:
         return figures.trajectory(paths[0], paths[1], closures=closures)
     truth = planar(sequence.world_from_base)[:, :2]
@@ -137,13 +143,12 @@ def match_figure(sequence: Sequence, load: Load, result: Result, view: RunView, 
 def write_closures(path: Path, sequence: Sequence, result: Result) -> None:
     """Every verified candidate: where, how alike, what was measured, and whether and why it counts."""
     c = result.candidates
-    sigma = np.sqrt(np.maximum(np.diagonal(c.covariance, axis1=1, axis2=2), 0))
     with open(path, "w", newline="", encoding="utf-8") as file:
         rows = csv.writer(file, lineterminator="\n")
         rows.writerow(COLUMNS)
         for k in range(len(c.i)):
             i, j = int(c.i[k]), int(c.j[k])
-            numbers = [f"{value:.6f}" for value in (*c.i_from_j[k], *sigma[k])]
+            numbers = [*(f"{value:.7f}" for value in c.i_from_j[k]), *entries(c.covariance[k])]
             rows.writerow([
                 i, j, sequence.names[i], sequence.names[j], f"{sequence.timestamps[i]:.6f}",
                 f"{sequence.timestamps[j]:.6f}", "opposing" if c.opposing[k] else "same", f"{c.distance[k]:.6f}",

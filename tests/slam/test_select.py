@@ -3,10 +3,10 @@ import dataclasses
 import numpy as np
 import pytest
 
+from ebjax.odometry.wheels import WheelErrors
 from ebjax.slam.select import (
     KEPT,
     Measured,
-    Odometry,
     SelectConfig,
     best_per_stretch,
     drift_sigma_m,
@@ -18,6 +18,7 @@ from ebjax.slam.select import (
 
 OUT = np.stack([np.arange(21) * 0.5, np.zeros(21), np.zeros(21)], 1)
 PATH = np.concatenate([OUT, OUT[::-1] + np.array([0, 0.2, np.pi])])
+STEPS = WheelErrors().step_covariance(PATH)
 
 
 def true_candidates(pairs):
@@ -47,7 +48,7 @@ def good():
 
 
 def test_true_closures_are_kept(good):
-    assert select(good, PATH, Odometry(), SelectConfig()) == [KEPT] * 4
+    assert select(good, PATH, STEPS, SelectConfig()) == [KEPT] * 4
 
 
 @pytest.mark.parametrize(
@@ -64,31 +65,31 @@ def test_true_closures_are_kept(good):
 def test_every_rejection_has_its_reason(good, changes, word):
     if "i_from_j" in changes and word == "other closures":
         changes = {"i_from_j": good.i_from_j[1] + np.array([0.3, 0.0, 0.0])}
-    reasons = select(spoiled(good, 1, **changes), PATH, Odometry(), SelectConfig())
+    reasons = select(spoiled(good, 1, **changes), PATH, STEPS, SelectConfig())
     assert word in reasons[1]
     assert [reasons[k] for k in (0, 2, 3)] == [KEPT] * 3
 
 
 def test_neighbours_on_the_path_leave_the_best(good):
     close = true_candidates([(25, 11), (26, 10)])
-    reasons = select(spoiled(close, 1, inliers=70), PATH, Odometry(), SelectConfig(spacing_m=1.0, min_agreeing=1))
+    reasons = select(spoiled(close, 1, inliers=70), PATH, STEPS, SelectConfig(spacing_m=1.0, min_agreeing=1))
     assert reasons[1] == KEPT
     assert "better closure" in reasons[0]
 
 
 def test_one_alone_is_not_believed():
-    reasons = select(true_candidates([(25, 11)]), PATH, Odometry(), SelectConfig())
+    reasons = select(true_candidates([(25, 11)]), PATH, STEPS, SelectConfig())
     assert "supports" in reasons[0]
-    assert select(true_candidates([(25, 11)]), PATH, Odometry(), SelectConfig(min_agreeing=1)) == [KEPT]
+    assert select(true_candidates([(25, 11)]), PATH, STEPS, SelectConfig(min_agreeing=1)) == [KEPT]
 
 
 def test_closures_with_one_and_the_same_view_do_not_support_each_other():
     same = true_candidates([(25, 8), (27, 8), (29, 8)])
-    assert set(select(same, PATH, Odometry(), SelectConfig())) == {"no other closure supports it"}
+    assert set(select(same, PATH, STEPS, SelectConfig())) == {"no other closure supports it"}
 
 
 def test_top_spreads(good):
-    reasons = select(good, PATH, Odometry(), SelectConfig(top=2))
+    reasons = select(good, PATH, STEPS, SelectConfig(top=2))
     assert reasons.count(KEPT) == 2
 
 
@@ -96,11 +97,11 @@ def test_no_candidate_at_all():
     empty = Measured(
         *(np.zeros(0, t) for t in (int, int, bool, float, int, int)), np.zeros((0, 3)), np.zeros((0, 3, 3))
     )
-    assert select(empty, PATH, Odometry(), SelectConfig()) == []
+    assert select(empty, PATH, STEPS, SelectConfig()) == []
 
 
 def test_the_distance_from_odometry_grows_with_the_error(good):
-    steps = Odometry().step_sigmas(PATH)
+    steps = STEPS
     true = odometry_distance(good, PATH, steps)
     assert (true < 0.5).all()
     off = spoiled(good, 0, i_from_j=good.i_from_j[0] + np.array([1.0, 0, 0]))
@@ -110,7 +111,8 @@ def test_the_distance_from_odometry_grows_with_the_error(good):
 
 def test_drift_is_what_random_steps_drift():
     rng = np.random.default_rng(0)
-    steps = Odometry(heading_deg_per_sqrt_m=0.5).step_sigmas(PATH)
+    errors = WheelErrors(heading_deg_per_sqrt_m=0.5)
+    steps = errors.step_sigmas(PATH)
     local = np.diff(PATH, axis=0)
     c, s = np.cos(PATH[:-1, 2]), np.sin(PATH[:-1, 2])
     local[:, :2] = np.stack([c * local[:, 0] + s * local[:, 1], c * local[:, 1] - s * local[:, 0]], 1)
@@ -131,14 +133,16 @@ def test_drift_is_what_random_steps_drift():
             1,
         )
         spread = np.sqrt(back.var(0).sum())
-        assert drift_sigma_m(PATH, steps, np.array([i]), np.array([j]))[0] == pytest.approx(spread, rel=0.1)
+        assert drift_sigma_m(PATH, errors.step_covariance(PATH), np.array([i]), np.array([j]))[0] == pytest.approx(
+            spread, rel=0.1
+        )
 
 
 def test_what_odometry_rules_out():
     i, j = np.array([[25, 25]]), np.array([[11, 0]])
     centre = np.array([1.0, 0.0])
-    np.testing.assert_array_equal(plausible(i, j, PATH, centre, 1.5, Odometry(), 3.0), [[True, False]])
-    assert plausible(i, j, PATH, centre, 1.5, Odometry(translation=1.0), 3.0).all()
+    np.testing.assert_array_equal(plausible(i, j, PATH, centre, 1.5, STEPS, 3.0), [[True, False]])
+    assert plausible(i, j, PATH, centre, 1.5, WheelErrors(translation=1.0).step_covariance(PATH), 3.0).all()
 
 
 def test_best_per_stretch_keeps_the_spacing():

@@ -16,7 +16,7 @@ from ebjax.geometry.homography import adjugate, apply
 from ebjax.geometry.mount import Mounting, remounted
 from ebjax.geometry.warp import warp
 from ebjax.models.layers import Conv
-from ebjax.slam.select import Odometry
+from ebjax.odometry.wheels import WheelErrors
 from ebjax.slam.soft import Parameters, Softness, SoftRun, Words, ate_rmse_m, correct
 from ebjax.slam.soft_look import network_look, rootsift_look
 from ebjax.slam.soft_pairs import chain_of, choose_pairs, choose_points
@@ -51,7 +51,7 @@ def run():
     c, s = np.cos(bend[:-1]), np.sin(bend[:-1])
     counted = np.stack([c * step[:, 0] - s * step[:, 1], s * step[:, 0] + c * step[:, 1]], 1)
     odometry = np.concatenate([np.cumsum(np.append([[0, 0]], counted, 0), 0), truth[:, 2:] + bend[:, None]], 1)
-    chain = chain_of(odometry, Odometry())
+    chain = chain_of(odometry, WheelErrors())
     return SoftRun(images, 0.5 * jnp.arange(30.0), chain, camera, jnp.asarray(truth[:, :2]))
 
 

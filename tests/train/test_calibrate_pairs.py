@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from ebjax.geometry import se2
-from ebjax.slam.select import Odometry
+from ebjax.odometry.wheels import WheelErrors
 from ebjax.train.calibrate_pairs import MAX_TURN_DEG, SHARES, choose_pairs, motion_noise, relative_motion
 
 WAY = np.stack([np.arange(60) * 0.1, 0.2 * np.sin(np.arange(60) * 0.2), 0.3 * np.sin(np.arange(60) * 0.15)], 1)
@@ -17,7 +17,7 @@ def test_relative_motion_is_that_of_the_group():
 
 
 def test_noise_is_that_of_noisy_steps():
-    odometry = Odometry(translation=0.02, heading_deg_per_sqrt_m=2.0)
+    odometry = WheelErrors(translation=0.02, heading_deg_per_sqrt_m=2.0)
     rng = np.random.default_rng(0)
     first, second = 10, 22
     rows = np.arange(first, second)

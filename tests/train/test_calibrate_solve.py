@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ebjax.geometry.mount import base_from_mounted_camera
-from ebjax.slam.select import Odometry
+from ebjax.odometry.wheels import WheelErrors
 from ebjax.train.calibrate_pairs import FloorPairs, motion_noise, relative_motion
 from ebjax.train.calibrate_solve import count_agreeing, curvature_sigma, on_floor, residuals, solve
 
@@ -40,7 +40,7 @@ def made_up(way, *, noise=0.0, wrong=0.0, odometry=None, seed=0, matches=64):
     astray = rng.uniform(size=(len(first), matches)) < wrong
     both[:, 1][astray] = rays(rng.uniform([0.8, -0.8], [2.5, 0.8], (int(astray.sum()), 2)))
     both[..., :2] += noise * rng.normal(size=both[..., :2].shape)
-    root = motion_noise(way, first, second, Odometry())
+    root = motion_noise(way, first, second, WheelErrors())
     if odometry is not None:
         motion = motion + np.einsum("pab,pb->pa", root, odometry * rng.normal(size=motion.shape))
     spreads = np.zeros((*both.shape, 2))

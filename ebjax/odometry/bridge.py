@@ -1,0 +1,102 @@
+"""Steps from the whole image, for keyframes whose floor view tells nothing of how they follow on the one before."""
+
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from ebjax.geometry.camera import Camera
+from ebjax.geometry.planar import between, inverse, inverse_covariance
+from ebjax.odometry.steps import USED, Steps
+from ebjax.odometry.wheels import WheelErrors
+from ebjax.odometry.whole_image import image_features, measure_motion
+
+Load = Callable[[int], tuple[np.ndarray, np.ndarray | None] | None]
+NO_COMMON = "no motion explains the whole images"
+
+
+def bridge(
+    steps: Steps,
+    count: int,
+    frames: Int[np.ndarray, " N"],
+    times: Float[np.ndarray, " N"],
+    wheels: Float[np.ndarray, "N 3"] | None,
+    camera: Camera,
+    load: Load,
+    errors: WheelErrors,
+    ignored: Bool[np.ndarray, "H W"] | None = None,
+) -> Steps:
+    """Measures the steps between successive keyframes that `steps` lacks; where that fails, over the next one.
+
+    Args:
+      steps: what the floor measured.
+      count: of keyframes.
+      frames: frame number of every keyframe.
+      times: s.
+      wheels: odometry of the keyframes, or None: then speed is carried on.
+      camera: with its mount put right.
+      load: frame number -> (RGB, depth).
+      errors: of the wheels.
+      ignored: pixels of the image that are no world.
+    """
+    known = np.zeros(count, bool)
+    first = steps.used & (steps.i - steps.j == 1)
+    known[steps.i[first]] = True
+    speeds = _speeds(steps, first, times, count)
+    looked: dict[int, tuple | None] = {}
+    rows: list[tuple] = []
+
+    def look(k: int):
+        if k not in looked:
+            images = load(int(frames[k]))
+            looked[k] = None if images is None else (image_features(images[0], ignored), images[1])
+            for old in [n for n in looked if n < k - 3]:
+                del looked[old]
+        return looked[k]
+
+    def measure(k: int, j: int) -> bool:
+        a, b = look(k), look(j)
+        if a is None or b is None:
+            return False
+        if wheels is not None:
+            guess = between(wheels[k], wheels[j])
+            sigma = errors.step_sigmas(wheels[[j, k]])[0]
+            wide = inverse_covariance(inverse(guess), np.diag(sigma**2))
+        else:
+            moved = np.concatenate([speeds[j:k], [[0.0, 0.0, 0.0]]])[: k - j]
+            guess = inverse(np.array([moved[:, 0].sum(), moved[:, 1].sum(), moved[:, 2].sum()]))
+            length = float(np.hypot(*guess[:2]))
+            wide = np.diag([(0.3 * length + 0.03) ** 2] * 2 + [0.3**2])
+        found = measure_motion(a[0], b[0], camera, a[1], b[1], (guess, wide))
+        kind = "rotation" if found.kind == "rotation" else "image"
+        reason = USED if found.ok else NO_COMMON
+        rows.append((k, j, kind, found.inliers, found.matches, found.i_from_j, found.covariance, reason))
+        return found.ok
+
+    for k in np.flatnonzero(~known[1:]) + 1:
+        if not measure(int(k), int(k) - 1):
+            for i, j in ((k, k - 2), (k + 1, k - 1)):
+                if j >= 0 and i < count:
+                    measure(int(i), int(j))
+    if not rows:
+        empty = np.zeros(0, int)
+        return Steps(
+            empty, empty, np.zeros(0, object), empty, empty, np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(0, object)
+        )
+    columns = [list(column) for column in zip(*rows, strict=True)]
+    types = (int, int, object, int, int, float, float, object)
+    return Steps(*(np.array(column, dtype) for column, dtype in zip(columns, types, strict=True)))
+
+
+def _speeds(steps: Steps, first: Bool[np.ndarray, " K"], times: Float[np.ndarray, " N"], count: int) -> np.ndarray:
+    """The motion of each step, earlier_from_later: as measured, or at the speed of the neighbours."""
+    moved = np.zeros((count - 1, 3))
+    known = np.zeros(count - 1, bool)
+    moved[steps.j[first]] = inverse(steps.i_from_j[first])
+    known[steps.j[first]] = True
+    if known.any() and not known.all():
+        seconds, middle = np.diff(times), (times[1:] + times[:-1]) / 2
+        for axis in range(3):
+            speed = np.interp(middle, middle[known], moved[known, axis] / seconds[known])
+            moved[~known, axis] = (speed * seconds)[~known]
+    return moved
