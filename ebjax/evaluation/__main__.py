@@ -2,6 +2,13 @@
 
 Files with times are associated by time. Files without (KITTI) are associated by row, if they have as many rows, and
 by arc length beside it. Every alignment is printed: none, SE(2), SE(3), Sim(3).
+
+    python -m ebjax.evaluation TRAJECTORY REFERENCE         ATE and RPE
+    python -m ebjax.evaluation nees RUN --reference FILE    whether a run's errors are as large as its covariances say
+    python -m ebjax.evaluation paper                        the paper's tables and figures
+    python -m ebjax.evaluation crops FLOORS                 descriptors on crops of photographed floors
+    python -m ebjax.evaluation ablations                    what recall and trajectory depend on
+    python -m ebjax.evaluation stress RUNS                  descriptors on corrupted floor views
 """
 
 import json
@@ -15,6 +22,8 @@ import numpy as np
 import tyro
 
 from ebjax.command import run
+from ebjax.evaluation.nees import between, pairs_along, summaries, table, tangent_errors
+from ebjax.evaluation.nees_tables import read_measurements
 from ebjax.evaluation.trajectory import ALIGNMENTS, arc_length, arc_length_association, associate, ate, rpe
 from ebjax.io.atomic import whole_file
 from ebjax.io.trajectory import Trajectory, read
@@ -151,6 +160,111 @@ def main(config: EvaluationConfig) -> None:
 
 
 @dataclass(frozen=True)
+class NeesConfig:
+    """Tells whether the errors of a run are as large as its covariances say: NEES of steps, closures, relative poses.
+
+    The mean should be 3. Above the interval the covariances are too small, below too large. Rows that the run did not
+    use are left out, no other. Pairs of relative poses overlap, so their mean strays further than the interval says.
+    """
+
+    run: tyro.conf.Positional[Path]
+    """Folder that python -m ebjax.slam wrote."""
+    reference: str
+    """The true poses of the base, z up: a file with times, such as groundtruth.txt."""
+    distances: tuple[float, ...] = (1.0, 5.0, 20.0)
+    """Path lengths of the relative poses, m."""
+    pairs: int = 40
+    """Relative poses a distance, at most."""
+    max_time_difference_s: float = 0.02
+    """How far the nearest true pose may be in time, s, where it lies not between two samples at most 0.5 s apart."""
+    out: Path | None = None
+    """Folder for nees.json; none is written without it."""
+
+
+def _frames_and_truth(config: NeesConfig) -> tuple[np.ndarray, np.ndarray]:
+    """Times of the run's frames, and their true poses (x, y, heading), NaN where there is none."""
+    from ebjax.io.sequence import poses_at
+    from ebjax.slam.world import planar
+
+    frames, reference = read(config.run / "trajectory.tum"), read(config.reference)
+    for file in (frames, reference):
+        if not file.timed:
+            raise ValueError(f"{file.path}: it has no times; give TUM rows `timestamp tx ty tz qx qy qz qw`")
+    poses, found = poses_at(reference, frames.timestamps, config.max_time_difference_s)
+    if found.sum() < 2:
+        first, last = reference.timestamps[[0, -1]]
+        raise ValueError(
+            f"{config.reference}: from {first:.3f} to {last:.3f} s, it has a true pose for {found.sum()} of the run's "
+            f"{len(found)} frames, from {frames.timestamps[0]:.3f} to {frames.timestamps[-1]:.3f} s; "
+            "give the reference of this run, on the same clock"
+        )
+    return frames.timestamps, planar(poses)
+
+
+def _relative(config: NeesConfig, truth: np.ndarray) -> dict[str, Any]:
+    """NEES of relative poses by distance, from the marginals of the solved pose graph."""
+    from ebjax.posegraph.g2o import read_g2o
+    from ebjax.posegraph.graph import components
+    from ebjax.posegraph.marginals import relative_marginals
+
+    path = config.run / "pose_graph.g2o"
+    graph, ids = read_g2o(path)
+    row = {int(vertex): k for k, vertex in enumerate(ids)}
+    missing = [frame for frame in range(len(truth)) if frame not in row]
+    if graph.group != "se2" or missing:
+        lack = "is not a planar graph" if graph.group != "se2" else f"has no vertex {missing[0]}, a frame of the run"
+        raise ValueError(f"{path}: it {lack}; take it from the run that wrote trajectory.tum")
+    rows = np.array([row[frame] for frame in range(len(truth))])
+    poses = np.asarray(graph.poses)[rows]
+    piece = components(len(ids), np.asarray(graph.i), np.asarray(graph.j))[rows]
+    path_m = arc_length(np.concatenate([poses[:, :2], np.zeros((len(poses), 1))], 1))
+    results: dict[str, Any] = {}
+    for distance in config.distances:
+        a, b = pairs_along(path_m, np.isfinite(truth).all(1), distance, config.pairs)
+        a, b = a[piece[a] == piece[b]], b[piece[a] == piece[b]]
+        covariance = np.asarray(relative_marginals(graph, rows[a], rows[b], kernel="none"))
+        if not np.isfinite(covariance).all() or (len(a) and (np.linalg.eigvalsh(covariance)[:, 0] <= 0).any()):
+            raise ValueError(f"{path}: its marginals are not positive definite; correct the information of its edges")
+        error = tangent_errors(between(poses[a], poses[b]), between(truth[a], truth[b]))
+        results[f"{distance:g} m"] = summaries(error, covariance).get("all")
+    return results
+
+
+def nees(config: NeesConfig) -> None:
+    """Prints the table and what was left out; with --out, writes nees.json."""
+    if not config.distances or min(config.distances) <= 0 or config.pairs < 1:
+        raise ValueError("--distances and --pairs must be positive")
+    times, truth = _frames_and_truth(config)
+    notes = [f"truth for {np.isfinite(truth).all(1).sum()} of {len(truth)} frames"]
+    results: dict[str, Any] = {}
+    for name, table_file, flag, groups in (
+        ("steps", "steps.csv", "used", ("gap", "kind")),
+        ("closures", "loop_closures.csv", "kept", ()),
+    ):
+        path = config.run / table_file
+        if name == "steps" and not path.exists():
+            notes.append(f"{path}: not there; the steps are left out")
+            continue
+        rows = read_measurements(path, flag, times, groups)
+        error = tangent_errors(rows.i_from_j, between(truth[rows.i], truth[rows.j]))
+        results[name] = summaries(error, rows.covariance, rows.labels)
+        known = int(np.isfinite(error).all(1).sum())
+        notes.append(f"{path}: {rows.rows} rows, {len(error)} {flag}, {known} of them with truth")
+        if not known:
+            notes[-1] += f"; the {name} are left out"
+    relative = _relative(config, truth)
+    results["relative"] = {name: values for name, values in relative.items() if values}
+    notes += [f"relative, {name}: no two frames with truth are that far apart" for name, v in relative.items() if not v]
+    print("\n".join([*table(results), *notes]))
+    if config.out is not None:
+        with whole_file(config.out / "nees.json") as file:
+            json.dump(
+                {"run": str(config.run), "reference": config.reference, **results, "notes": notes}, file, indent=1
+            )
+            file.write("\n")
+
+
+@dataclass(frozen=True)
 class PaperConfig:
     """Repeats the paper's tables and figures on synthetic worlds, and on real data where there is any.
 
@@ -283,6 +397,7 @@ def stress(config: StressConfig) -> None:
 
 
 COMMANDS: dict[str, tuple[Callable[[Any], None], type]] = {
+    "nees": (nees, NeesConfig),
     "paper": (paper, PaperConfig),
     "ablations": (ablations, AblationsConfig),
     "crops": (crops, CropsConfig),

@@ -1,4 +1,4 @@
-"""Marginal covariances of poses: blocks of the inverse of the Gauss-Newton matrix at the solution."""
+"""Marginal covariances of poses and of relative poses: from the inverse of the Gauss-Newton matrix at the solution."""
 
 from functools import partial
 
@@ -13,7 +13,7 @@ from ebjax.posegraph.graph import PoseGraph
 from ebjax.posegraph.linear import Structure, analyse, linear_solve
 from ebjax.posegraph.robust import check_kernel
 
-_TOGETHER = 32  # poses that share one factorisation
+_TOGETHER = 32  # poses or pairs that share one factorisation
 
 
 def marginals(
@@ -34,21 +34,86 @@ def marginals(
     Raises:
       ValueError: a row outside the graph (where the rows are concrete), unknown kernel or solver.
     """
-    if not isinstance(rows, jax.core.Tracer) and len(rows) and not 0 <= min(rows) <= max(rows) < len(graph.poses):
-        raise ValueError(f"rows go from 0 to {len(graph.poses) - 1}; got {min(rows)} to {max(rows)}")
+    _check_rows(graph, rows)
     check_kernel(kernel)
     structure = analyse(graph, solver) if structure is None else structure
     return _marginals(graph, jnp.asarray(rows), jnp.asarray(width, jnp.asarray(graph.poses).dtype), structure, kernel)
 
 
+def relative_marginals(
+    graph: PoseGraph,
+    a: Int[Array | np.ndarray, " K"],
+    b: Int[Array | np.ndarray, " K"],
+    *,
+    kernel: str = "cauchy",
+    width: float | Float[Array, ""] = 1.0,
+    solver: str = "auto",
+    structure: Structure | None = None,
+) -> Float[Array, "K d d"]:
+    """Covariance of delta in a_from_b * exp(delta) for pairs of poses, a_from_b = pose_a^-1 pose_b.
+
+    delta = delta_b - Ad(b_from_a) delta_a = G (delta_a, delta_b), so the answer is G H^-1 G^T, H as in `marginals`,
+    from one solve per column of G^T. It does not depend on which pose of a connected graph is fixed, as long as one is;
+    poses that no edges connect are each relative to a fixed pose of their own.
+
+    Raises:
+      ValueError: as `marginals`, or not as many `a` as `b`.
+    """
+    if len(a) != len(b):
+        raise ValueError(f"{len(a)} poses a but {len(b)} poses b; give one of each per pair")
+    for rows in (a, b):
+        _check_rows(graph, rows)
+    check_kernel(kernel)
+    structure = analyse(graph, solver) if structure is None else structure
+    width = jnp.asarray(width, jnp.asarray(graph.poses).dtype)
+    return _relative_marginals(graph, jnp.asarray(a), jnp.asarray(b), width, structure, kernel)
+
+
+def _check_rows(graph, rows):
+    if not isinstance(rows, jax.core.Tracer) and len(rows) and not 0 <= min(rows) <= max(rows) < len(graph.poses):
+        raise ValueError(f"rows go from 0 to {len(graph.poses) - 1}; got {min(rows)} to {max(rows)}")
+
+
+def _inverse(graph, width, structure, kernel):
+    """Which poses are free, and the function right -> H^-1 right for the columns `right`, (d, N, d)."""
+    poses, free = jnp.asarray(graph.poses), ~jnp.asarray(structure.fixed)
+    system, _ = assemble(graph, structure.pattern, gauss_newton_blocks(graph, poses, kernel, width), free)
+    return free, jax.vmap(lambda right: linear_solve(structure, system, right))
+
+
+def _in_chunks(one, rows):
+    """`one` of every row, in whole chunks: XLA may run a last, shorter one beside the others, and CPU threads hang."""
+    count = len(jax.tree.leaves(rows)[0])
+    if count > _TOGETHER:
+        rows = jax.tree.map(lambda x: jnp.pad(x, (0, -count % _TOGETHER)), rows)
+    return jax.lax.map(one, rows, batch_size=_TOGETHER)[:count]
+
+
 @partial(jax.jit, static_argnames="kernel")
 def _marginals(graph, rows, width, structure, kernel):
-    poses, free = jnp.asarray(graph.poses), ~jnp.asarray(structure.fixed)
-    system, gradient = assemble(graph, structure.pattern, gauss_newton_blocks(graph, poses, kernel, width), free)
-    unit = jnp.eye(gradient.shape[1], dtype=poses.dtype)
+    free, solve = _inverse(graph, width, structure, kernel)
+    unit = jnp.eye(graph.lie.dim, dtype=jnp.asarray(graph.poses).dtype)
 
     def one(row):
-        columns = jax.vmap(lambda e: linear_solve(structure, system, jnp.zeros_like(gradient).at[row].set(e)))(unit)
-        return jnp.where(free[row], columns[:, row], 0)
+        right = jnp.zeros((len(unit), len(free), len(unit)), unit.dtype).at[:, row].set(unit)
+        return jnp.where(free[row], solve(right)[:, row], 0)
 
-    return jax.lax.map(one, rows, batch_size=_TOGETHER)
+    return _in_chunks(one, rows)
+
+
+@partial(jax.jit, static_argnames="kernel")
+def _relative_marginals(graph, a, b, width, structure, kernel):
+    lie, poses = graph.lie, jnp.asarray(graph.poses)
+    free, solve = _inverse(graph, width, structure, kernel)
+    unit = jnp.eye(lie.dim, dtype=poses.dtype)
+
+    def one(pair):
+        a, b = pair
+        from_a = -lie.adjoint(lie.compose(lie.inverse(poses[b]), poses[a]))
+        right = jnp.zeros((len(unit), len(free), len(unit)), unit.dtype)
+        right = right.at[:, a].add(jnp.where(free[a], from_a, 0)).at[:, b].add(jnp.where(free[b], unit, 0))
+        columns = solve(right)
+        covariance = columns[:, b] + columns[:, a] @ from_a.T
+        return (covariance + covariance.T) / 2
+
+    return _in_chunks(one, (a, b))
