@@ -39,6 +39,11 @@ class Tilt:
     pairs: int
     applied: bool
 
+    def further(self, more: "Tilt") -> "Tilt":
+        """This, and what was found beyond it."""
+        off = self.pitch_deg + more.pitch_deg, self.roll_deg + more.roll_deg
+        return Tilt(*off, more.pitch_sigma_deg, more.roll_sigma_deg, more.pairs, self.applied or more.applied)
+
 
 def tilted(camera: Camera, tilt: Float[Array, "2"]) -> Camera:
     """The camera with pitch and roll added, rad."""

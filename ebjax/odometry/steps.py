@@ -39,6 +39,10 @@ class Steps:
         """Which count."""
         return self.reason == USED
 
+    def consecutive(self) -> Int[np.ndarray, " n"]:
+        """Rows of the used steps from the keyframe before."""
+        return np.flatnonzero(self.used & (self.i - self.j == 1))
+
     def refuse(self, rows: Bool[np.ndarray, " K"], why: str) -> "Steps":
         """The table with some of the used rows refused."""
         return dataclasses.replace(self, reason=np.where(rows & self.used, why, self.reason))

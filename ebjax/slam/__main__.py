@@ -22,14 +22,18 @@ from ebjax.geometry.camera import Camera, FloorView
 from ebjax.io.atomic import whole_folder
 from ebjax.io.cache import open_cache
 from ebjax.io.camera_file import read_camera
+from ebjax.io.mask import alpha_mask, read_mask
 from ebjax.io.sequence import BrokenFrame, Sequence, read_sequence
+from ebjax.io.timed_poses import MAX_GAP_S
 from ebjax.places.recall import facing_pairs, precision_100, recall_at_1
 from ebjax.slam.pipeline import PipelineConfig, Remember, Result
 from ebjax.slam.pipeline import run as run_pipeline
 from ebjax.slam.select import SelectConfig
+from ebjax.slam.why import why_nothing
 from ebjax.slam.world import planar
 from ebjax.views.depth_floor import camera_from_depth
-from ebjax.views.run_view import choose_floor, from_camera, from_quad
+from ebjax.views.run_view import choose_floor, from_camera, from_quad, without
+from ebjax.views.static_pixels import spread, static_pixels
 from ebjax.viz.motion import motion_lines, motion_metrics
 from ebjax.viz.run_folder import write_run
 
@@ -66,6 +70,11 @@ class Config(PipelineConfig):
     """How far apart in time an image may be from its depth image or pose, s."""
     time_offset_s: float | Literal["auto"] = "auto"
     """Added to the images' stamps, s; auto: estimated from turning rates where the odometry tells it."""
+    max_gap_s: float = MAX_GAP_S
+    """How far apart two samples of the odometry may be to interpolate between them, s."""
+    mask: Path | Literal["auto", "none"] = "auto"
+    """Pixels that are no floor: an image, black or transparent there; auto: found over the run, where the picture never
+    changes (the robot's own body, dirt), or transparent in the images themselves."""
     min_coverage: float = 0.9
     """Share of frames that must have odometry (and depth)."""
     min_readable: float = 0.5
@@ -80,6 +89,13 @@ class Frames:
     def __init__(self, sequence: Sequence):
         self.sequence = sequence
         self._faults: dict[int, str] = {}
+
+    def load_rgb(self, k: int):
+        """RGB of frame k alone, in a tuple, or None; what is wrong with it is noted when it is loaded in full."""
+        try:
+            return (self.sequence.rgb(k),)
+        except BrokenFrame:
+            return None
 
     def load(self, k: int):
         """RGB and depth of frame k, or None."""
@@ -109,6 +125,7 @@ def main(config: Config) -> None:
         depth=config.depth == "sequence",
         max_time_difference_s=config.max_time_difference_s,
         min_coverage=config.min_coverage,
+        max_gap_s=config.max_gap_s,
         odometry=config.motion != "floor",
         time_offset_s=0.0 if config.time_offset_s == "auto" else config.time_offset_s,
     )
@@ -125,6 +142,11 @@ def main(config: Config) -> None:
             view = from_camera(camera, choose_floor(camera, config.metres_per_px))
     except ValueError as fault:
         raise ValueError(f"{config.camera or sequence.path / 'camera.json'}: {fault}") from None
+    for note in sequence.notes:
+        print(note)
+    ignored = ignored_pixels(config, sequence, frames)
+    if ignored is not None:
+        view = without(view, ignored)
 
     odometry = None if sequence.odom_from_base is None else planar(sequence.odom_from_base)
     retimed = None
@@ -139,7 +161,7 @@ def main(config: Config) -> None:
         with contextlib.ExitStack() as at_end:
             known = remembering(config, at_end)
             result = run_pipeline(
-                frames.load, sequence.timestamps, odometry, camera, view, config, progress, known, retimed
+                frames.load, sequence.timestamps, odometry, camera, view, config, progress, known, retimed, ignored
             )
     except ValueError as fault:
         if not frames.broken:
@@ -169,6 +191,30 @@ def with_camera(sequence: Sequence, path: Path) -> Sequence:
             "name the camera.json of this camera"
         )
     return dataclasses.replace(sequence, camera=camera)
+
+
+def ignored_pixels(config: Config, sequence: Sequence, frames: Frames) -> np.ndarray | None:
+    """Pixels of the image that are no world, or None."""
+    size = sequence.camera.width, sequence.camera.height
+    if config.mask == "none":
+        return None
+    if config.mask != "auto":
+        return read_mask(config.mask, size)
+    if (clear := alpha_mask([sequence.path / name for name in sequence.names], size)) is not None:
+        print(f"mask: {clear.mean():.0%} of the image is transparent and ignored")
+        return clear
+    way = np.arange(len(sequence), dtype=np.float64)
+    if sequence.odom_from_base is not None:
+        step = np.diff(planar(sequence.odom_from_base), axis=0)
+        way = np.concatenate([[0.0], np.cumsum(np.hypot(step[:, 0], step[:, 1]) + np.abs(step[:, 2]))])
+    images = [images[0] for images in map(frames.load_rgb, spread(way).tolist()) if images is not None]
+    if not images:
+        return None
+    found = static_pixels(images)
+    if not found.any():
+        return None
+    print(f"mask: {found.mean():.0%} of the image never changes and is ignored, as the robot's own body (--mask none)")
+    return found
 
 
 def remembering(config: Config, at_end: contextlib.ExitStack) -> Remember | None:
@@ -219,7 +265,7 @@ def check_images(config: Config, sequence: Sequence, frames: Frames, result: Res
             "(all zero or not finite); check depth_scale in camera.json, or run with --depth none"
         )
     error = floor_error_m(result.described.landmarks)
-    if error > 0.05:
+    if result.motion is None and error > 0.05:
         print(
             f"warning: depth sees the floor {error:.2f} m (median) off where T_base_camera puts it; "
             "correct camera.json, or try --floor depth",
@@ -245,6 +291,7 @@ def run_metrics(sequence: Sequence, frames: Frames, result: Result, centre_m: np
         "closures_opposing": int((kept & candidates.opposing).sum()),
         "closures_by_depth": int((kept & result.by_depth).sum()),
         "reasons": reason_counts(result.reasons),
+        "nothing_kept": None if kept.any() else why_nothing(result.reasons, len(candidates.i)),
         "motion": None if result.motion is None else motion_metrics(result.motion),
         "pose_graph": {
             "cost_before": float(result.solution.initial_cost),
@@ -290,6 +337,10 @@ def print_summary(config: Config, metrics: dict[str, Any]) -> None:
     )
     for line in motion_lines(metrics):
         print(line)
+    for line in (metrics["motion"] or {}).get("warnings", ()):
+        print(f"warning: {line}", file=sys.stderr)
+    if not metrics["closures_kept"]:
+        print(metrics["nothing_kept"])
     if truth := metrics.get("closures_against_truth"):
         print(
             f"closures within 5 cm and 1 degree of the truth: {truth['within_5cm_1deg']} of {truth['checked']}; "

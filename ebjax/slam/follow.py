@@ -8,7 +8,8 @@ from ebjax.features.landmarks import take
 from ebjax.features.verify_pairs import verify_blocks
 from ebjax.geometry.camera import Camera
 from ebjax.geometry.planar import chained, inverse
-from ebjax.odometry.motion import MotionConfig, table_of
+from ebjax.odometry.floor_steps import table_of
+from ebjax.odometry.motion import MotionConfig
 from ebjax.slam.describe import Described
 
 
@@ -38,7 +39,8 @@ def follow(
     found, *_, matches = verify_blocks(
         pick, camera, later, earlier, np.zeros(count - 1, bool), tolerance_m=config.tolerance_m, seed=config.seed + 2
     )
-    table = table_of(later, earlier, found.inliers.sum(-1), found.matched.sum(-1), matches, camera, config.tolerance_m)
+    inliers, total = (np.asarray(rows).sum(-1) for rows in (found.inliers, found.matched))
+    table = table_of(later, earlier, inliers, total, matches, camera, config.tolerance_m)
     step, good = inverse(table.i_from_j), table.used
     seconds = np.diff(timestamps[frames])
     speed = np.zeros(3)

@@ -22,7 +22,8 @@ from ebjax.features.remember import remembered
 from ebjax.features.verify import Verified
 from ebjax.geometry.camera import Camera
 from ebjax.models.fast import Arithmetic
-from ebjax.odometry.motion import Motion, MotionConfig, fused_motion, measured
+from ebjax.odometry.floor_steps import measured
+from ebjax.odometry.motion import Motion, MotionConfig, fused_motion
 from ebjax.odometry.wheels import WheelErrors
 from ebjax.places.descriptor import descriptor
 from ebjax.places.retrieve import LoopCandidates, comparable
@@ -48,8 +49,9 @@ CONTRADICTED = "contradicts the corrected path"
 class MountConfig:
     """How far the camera's mount is trusted."""
 
-    refine: Literal["tilt", "none"] = "tilt"
-    """Which of it is estimated with the run and put right where the floor contradicts it."""
+    refine: Literal["tilt", "all", "none"] = "tilt"
+    """Which of it is estimated with the run and put right where the floor contradicts it: pitch and roll, or height and
+    x too (where depth, or wheels with their declared --odometry.scale-sigma, tell them)."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -199,7 +201,7 @@ def run(
         path = path_of_wheels(odom_from_base, config.odometry)
     else:
         steps = MotionConfig(
-            config.tolerance_m, config.mount.refine != "none", odometry_at is not None, config.seed, config.odometry
+            config.tolerance_m, config.mount.refine, odometry_at is not None, config.seed, config.odometry
         )
         if way == "floor":
             keyframes, described, everywhere = follow(
@@ -229,7 +231,7 @@ def run(
         )
         if motion.offset.offset_s and odometry_at is not None:
             everywhere = odometry_at(motion.offset.offset_s)
-        if motion.tilt.applied:
+        if motion.camera is not camera:
             camera, view = motion.camera, remounted_view(view, motion.camera)
             turned = described.turned
             turned = None if turned is None else remounted_landmarks(turned, camera)
@@ -267,7 +269,7 @@ def run(
         i_from_j = np.where(by_depth[:, None], depth.i_from_j, floor.i_from_j).astype(np.float64)
         covariance = np.where(by_depth[:, None, None], depth.covariance, floor.covariance).astype(np.float64)
     else:
-        i_from_j, covariance, by_depth = measured(matches, camera, config.tolerance_m)
+        i_from_j, covariance, by_depth = measured(matches, camera, config.tolerance_m, motion.trust_depth)
     candidates = Measured(
         keyframes[i],
         keyframes[j],

@@ -1,6 +1,7 @@
 """What the floor's steps contributed to a run: a table of them, figures for metrics.json, lines for the terminal."""
 
 import csv
+import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -77,7 +78,9 @@ def motion_metrics(motion: Motion) -> dict[str, Any]:
             "pitch_sigma_deg": motion.tilt.pitch_sigma_deg,
             "roll_sigma_deg": motion.tilt.roll_sigma_deg,
             "applied": motion.tilt.applied,
+            **({} if motion.reach is None else dataclasses.asdict(motion.reach)),
         },
+        "warnings": list(motion.warnings),
     }
 
 
@@ -115,5 +118,10 @@ def motion_lines(metrics: Mapping[str, Any]) -> list[str]:
         lines.append(
             f"camera's mount: pitch {mount['pitch_deg']:+.3f} +- {mount['pitch_sigma_deg']:.3f}, roll "
             f"{mount['roll_deg']:+.3f} +- {mount['roll_sigma_deg']:.3f} degrees off the given one, put right"
+        )
+    if "height_m" in mount:
+        lines.append(
+            f"camera's mount: height {mount['height_m']:+.4f} +- {mount['height_sigma_m']:.4f}, x "
+            f"{mount['x_m']:+.4f} +- {mount['x_sigma_m']:.4f} m off the given one, put right"
         )
     return lines

@@ -1,0 +1,108 @@
+"""Steps measured on the floor or by depth, the camera's tilt put right by them first."""
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from ebjax.features.landmarks import Landmarks, remounted_landmarks, take
+from ebjax.features.settle import PairMatches
+from ebjax.features.verify_pairs import settle_blocks, verify_blocks
+from ebjax.geometry.camera import Camera
+from ebjax.geometry.planar import between
+from ebjax.odometry.mount import Tilt, refine_tilt
+from ebjax.odometry.partners import partners
+from ebjax.odometry.steps import MIN_INLIERS, MIN_RATIO, Steps, judged
+from ebjax.odometry.wheels import WheelErrors
+from ebjax.views.run_view import RunView
+
+MIN_DEPTH = 8
+STILL_M, STILL_RAD = 0.01, 0.005
+SAME_PICTURE = 0.35
+"""Two views of a floor that did not move differ by less than this share of what views differ by a step apart."""
+NOT_THE_FLOOR = "the matches stand still while the robot moves"
+
+
+def measure_steps(
+    landmarks: Landmarks,
+    view: RunView,
+    camera: Camera,
+    poses: Float[np.ndarray, "N 3"],
+    *,
+    tolerance_m: float,
+    refine: bool,
+    seed: int,
+) -> tuple[Steps, PairMatches, Camera, Landmarks, Tilt]:
+    """Measures every keyframe against earlier ones on the floor or by depth; puts the camera's tilt right first."""
+    i, j = partners(view, poses)
+    given, tilt = landmarks, Tilt(0.0, 0.0, 0.0, 0.0, 0, False)
+
+    def verified(landmarks: Landmarks, camera: Camera):
+        def pick(a, b, _):
+            return take(landmarks, a), take(landmarks, b)
+
+        facing = np.zeros(len(i), bool)
+        found, *_, matches = verify_blocks(pick, camera, i, j, facing, tolerance_m=tolerance_m, seed=seed)
+        return found.inliers.sum(-1), found.matched.sum(-1), matches
+
+    inliers, total, matches = verified(landmarks, camera)
+    for _ in range(2 if refine else 0):
+        believed = (inliers >= MIN_INLIERS) & (inliers >= MIN_RATIO * total)
+        camera, more = refine_tilt(matches, believed, camera, tolerance_m)
+        tilt = tilt.further(more)
+        if not more.applied:
+            break
+        landmarks = remounted_landmarks(given, camera)
+        inliers, total, matches = verified(landmarks, camera)
+    return table_of(i, j, inliers, total, matches, camera, tolerance_m), matches, camera, landmarks, tilt
+
+
+def table_of(
+    i: Int[np.ndarray, " K"],
+    j: Int[np.ndarray, " K"],
+    inliers: Int[np.ndarray, " K"],
+    total: Int[np.ndarray, " K"],
+    matches: PairMatches,
+    camera: Camera,
+    tolerance_m: float,
+    trust_depth: bool = False,
+) -> Steps:
+    """Verified pairs as steps, measured by the floor or by depth, whichever is more certain."""
+    i_from_j, covariance, by_depth = measured(matches, camera, tolerance_m, trust_depth)
+    kind = np.where(by_depth, "depth", "floor").astype(object)
+    return judged(i, j, kind, inliers, total, i_from_j, covariance)
+
+
+def measured(
+    matches: PairMatches, camera: Camera, tolerance_m: float, trust_depth: bool = False
+) -> tuple[Float[np.ndarray, "K 3"], Float[np.ndarray, "K 3 3"], Bool[np.ndarray, " K"]]:
+    """i_from_j and its covariance by floor or depth, whichever is more certain, and which it was."""
+    floor, depth, with_depth = settle_blocks(matches, camera, tolerance_m)
+    size = [np.trace(m.covariance[:, :2, :2], axis1=1, axis2=2) for m in (floor, depth)]
+    by_depth = (with_depth >= MIN_DEPTH) & (trust_depth | (size[1] < size[0]))
+    return (
+        np.where(by_depth[:, None], depth.i_from_j, floor.i_from_j).astype(float),
+        np.where(by_depth[:, None, None], depth.covariance, floor.covariance).astype(float),
+        by_depth,
+    )
+
+
+def without_body(steps: Steps, wheels: Float[np.ndarray, "N 3"], views: np.ndarray, errors: WheelErrors) -> Steps:
+    """Refuses steps of no motion where the wheels turned and the views, as a whole, did change or are one and the same.
+
+    Matches that stand still while the robot moves lie on the robot itself, or the camera has frozen.
+    """
+    still = steps.used & (np.hypot(*steps.i_from_j[:, :2].T) < STILL_M) & (np.abs(steps.i_from_j[:, 2]) < STILL_RAD)
+    counted = between(wheels[steps.i], wheels[steps.j])
+    allowed = 4 * (errors.translation * np.hypot(*counted[:, :2].T) + 0.005)
+    rows = np.flatnonzero(still & (np.hypot(*counted[:, :2].T) > np.maximum(allowed, 3 * STILL_M)))
+    if not len(rows):
+        return steps
+
+    def change(a, b):
+        return float(np.abs(views[a].astype(np.int16) - views[b]).mean())
+
+    usual = np.median([change(k, k - 1) for k in np.linspace(1, len(views) - 1, min(50, len(views) - 1)).astype(int)])
+    wrong = np.zeros(len(steps.i), bool)
+    for k in rows:
+        found = change(steps.i[k], steps.j[k])
+        wrong[k] = found > SAME_PICTURE * usual or found == 0
+    return steps.refuse(wrong, NOT_THE_FLOOR)
