@@ -209,13 +209,12 @@ def _relative(config: NeesConfig, truth: np.ndarray) -> dict[str, Any]:
 
     path = config.run / "pose_graph.g2o"
     graph, ids = read_g2o(path)
-    row = {int(vertex): k for k, vertex in enumerate(ids)}
-    missing = [frame for frame in range(len(truth)) if frame not in row]
-    if graph.group != "se2" or missing:
-        lack = "is not a planar graph" if graph.group != "se2" else f"has no vertex {missing[0]}, a frame of the run"
+    rows = np.argsort(ids, kind="stable")
+    strange = rows[(ids[rows] < 0) | (ids[rows] >= len(truth))]
+    if graph.group != "se2" or len(strange):
+        lack = "is not a planar graph" if graph.group != "se2" else f"has vertex {ids[strange[0]]}, no frame of the run"
         raise ValueError(f"{path}: it {lack}; take it from the run that wrote trajectory.tum")
-    rows = np.array([row[frame] for frame in range(len(truth))])
-    poses = np.asarray(graph.poses)[rows]
+    truth, poses = truth[ids[rows]], np.asarray(graph.poses)[rows]
     piece = components(len(ids), np.asarray(graph.i), np.asarray(graph.j))[rows]
     path_m = arc_length(np.concatenate([poses[:, :2], np.zeros((len(poses), 1))], 1))
     results: dict[str, Any] = {}
