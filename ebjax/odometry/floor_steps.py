@@ -1,5 +1,7 @@
 """Steps measured on the floor or by depth, the camera's tilt put right by them first."""
 
+import dataclasses
+
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -21,7 +23,42 @@ SAME_PICTURE = 0.35
 NOT_THE_FLOOR = "the matches stand still while the robot moves"
 
 
-def measure_steps(
+@dataclasses.dataclass(frozen=True)
+class FloorPairs:
+    """Verified pairs of keyframes, rows i > j: agreeing and putative matches, and the matches themselves."""
+
+    i: Int[np.ndarray, " K"]
+    j: Int[np.ndarray, " K"]
+    inliers: Int[np.ndarray, " K"]
+    total: Int[np.ndarray, " K"]
+    matches: PairMatches
+
+    @property
+    def believed(self) -> Bool[np.ndarray, " K"]:
+        """Those whose matches agree well enough."""
+        return (self.inliers >= MIN_INLIERS) & (self.inliers >= MIN_RATIO * self.total)
+
+
+def verified_pairs(
+    landmarks: Landmarks,
+    camera: Camera,
+    i: Int[np.ndarray, " K"],
+    j: Int[np.ndarray, " K"],
+    *,
+    tolerance_m: float,
+    seed: int,
+) -> FloorPairs:
+    """Verifies pairs of keyframes that look in the same direction."""
+
+    def pick(a, b, _):
+        return take(landmarks, a), take(landmarks, b)
+
+    found, *_, matches = verify_blocks(pick, camera, i, j, np.zeros(len(i), bool), tolerance_m=tolerance_m, seed=seed)
+    inliers, total = (np.asarray(rows).sum(-1) for rows in (found.inliers, found.matched))
+    return FloorPairs(i, j, inliers, total, matches)
+
+
+def upright_pairs(
     landmarks: Landmarks,
     view: RunView,
     camera: Camera,
@@ -30,45 +67,26 @@ def measure_steps(
     tolerance_m: float,
     refine: bool,
     seed: int,
-) -> tuple[Steps, PairMatches, Camera, Landmarks, Tilt]:
-    """Measures every keyframe against earlier ones on the floor or by depth; puts the camera's tilt right first."""
+) -> tuple[FloorPairs, Camera, Tilt]:
+    """Verifies every keyframe against earlier ones, the camera's tilt put right by the first pairs."""
     i, j = partners(view, poses)
-    given, tilt = landmarks, Tilt(0.0, 0.0, 0.0, 0.0, 0, False)
-
-    def verified(landmarks: Landmarks, camera: Camera):
-        def pick(a, b, _):
-            return take(landmarks, a), take(landmarks, b)
-
-        facing = np.zeros(len(i), bool)
-        found, *_, matches = verify_blocks(pick, camera, i, j, facing, tolerance_m=tolerance_m, seed=seed)
-        return found.inliers.sum(-1), found.matched.sum(-1), matches
-
-    inliers, total, matches = verified(landmarks, camera)
+    tilt = Tilt()
+    pairs = verified_pairs(landmarks, camera, i, j, tolerance_m=tolerance_m, seed=seed)
     for _ in range(2 if refine else 0):
-        believed = (inliers >= MIN_INLIERS) & (inliers >= MIN_RATIO * total)
-        camera, more = refine_tilt(matches, believed, camera, tolerance_m)
+        camera, more = refine_tilt(pairs.matches, pairs.believed, camera, tolerance_m)
         tilt = tilt.further(more)
         if not more.applied:
             break
-        landmarks = remounted_landmarks(given, camera)
-        inliers, total, matches = verified(landmarks, camera)
-    return table_of(i, j, inliers, total, matches, camera, tolerance_m), matches, camera, landmarks, tilt
+        moved = remounted_landmarks(landmarks, camera)
+        pairs = verified_pairs(moved, camera, i, j, tolerance_m=tolerance_m, seed=seed)
+    return pairs, camera, tilt
 
 
-def table_of(
-    i: Int[np.ndarray, " K"],
-    j: Int[np.ndarray, " K"],
-    inliers: Int[np.ndarray, " K"],
-    total: Int[np.ndarray, " K"],
-    matches: PairMatches,
-    camera: Camera,
-    tolerance_m: float,
-    trust_depth: bool = False,
-) -> Steps:
+def table_of(pairs: FloorPairs, camera: Camera, tolerance_m: float, trust_depth: bool = False) -> Steps:
     """Verified pairs as steps, measured by the floor or by depth, whichever is more certain."""
-    i_from_j, covariance, by_depth = measured(matches, camera, tolerance_m, trust_depth)
+    i_from_j, covariance, by_depth = measured(pairs.matches, camera, tolerance_m, trust_depth)
     kind = np.where(by_depth, "depth", "floor").astype(object)
-    return judged(i, j, kind, inliers, total, i_from_j, covariance)
+    return judged(pairs.i, pairs.j, kind, pairs.inliers, pairs.total, i_from_j, covariance)
 
 
 def measured(

@@ -13,6 +13,10 @@ PRIOR_M = 0.02
 """Standard deviation of height and x as given, m."""
 DEPTH_SHARE = 0.01
 """Standard deviation of the scale of a depth camera."""
+SLIP_M_PER_RAD = 0.05
+"""How far a robot's wheels may slip aside while it turns."""
+SIGNIFICANT = 2.5
+"""What lies within so many standard deviations of the given value stays as given."""
 ALARM = 0.05
 """A height that wheels or depth contradict by a larger share is warned of."""
 
@@ -25,6 +29,14 @@ class Reach:
     x_m: float = 0.0
     height_sigma_m: float = PRIOR_M
     x_sigma_m: float = PRIOR_M
+
+    def significant(self) -> "Reach":
+        """Without what may as well be nothing."""
+        return dataclasses.replace(
+            self,
+            height_m=self.height_m * (abs(self.height_m) > SIGNIFICANT * self.height_sigma_m),
+            x_m=self.x_m * (abs(self.x_m) > SIGNIFICANT * self.x_sigma_m),
+        )
 
 
 def height_from_wheels(
@@ -67,6 +79,7 @@ def x_from_turns(
       sigmas: standard deviation (x, y) of the difference, in the first two columns.
     """
     c, s = np.cos(counted[:, 2]), np.sin(counted[:, 2])
+    sigmas = np.hypot(sigmas, SLIP_M_PER_RAD * np.abs(counted[:, 2:]))
     design = np.stack([1 - c, -s], 1)
     difference = measured[:, :2] - counted[:, :2]
     answer, information = 0.0, PRIOR_M**-2.0

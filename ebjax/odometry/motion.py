@@ -9,18 +9,20 @@ import dataclasses
 from collections.abc import Callable
 from typing import Literal
 
+import jax
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt8
 
 from ebjax.features.landmarks import Landmarks, remounted_landmarks
+from ebjax.features.settle import PairMatches
 from ebjax.geometry.camera import Camera
 from ebjax.odometry.bridge import bridge
 from ebjax.odometry.chain import Edges
 from ebjax.odometry.clock import TimeOffset
-from ebjax.odometry.floor_steps import measure_steps, table_of, without_body
+from ebjax.odometry.floor_steps import FloorPairs, table_of, upright_pairs, without_body
 from ebjax.odometry.fuse import Jump, fuse
 from ebjax.odometry.height import Reach
-from ebjax.odometry.mount import Tilt
+from ebjax.odometry.mount import Tilt, refine_tilt
 from ebjax.odometry.self_check import height_off, mount_warnings, moved_camera, offset_of, reach_of, systematic_of
 from ebjax.odometry.steps import Steps, joined
 from ebjax.odometry.wheels import Systematic, WheelErrors
@@ -51,6 +53,8 @@ class Motion:
       carried: steps that nothing measured.
       trust_depth: whether depth contradicts the camera's height so far that it is taken wherever there is any.
       warnings: what the user should correct, a line each.
+      pairs: what the floor's steps were measured from.
+      bridged: what the whole images measured.
     """
 
     frames: Int[np.ndarray, " N"]
@@ -68,6 +72,8 @@ class Motion:
     carried: int
     trust_depth: bool
     warnings: tuple[str, ...]
+    pairs: FloorPairs
+    bridged: Steps
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,73 +87,114 @@ class MotionConfig:
     errors: WheelErrors
 
 
-def fused_motion(
-    frames: Int[np.ndarray, " N"],
-    times: Float[np.ndarray, " N"],
-    landmarks: Landmarks,
-    views: np.ndarray,
-    view: RunView,
-    camera: Camera,
-    start: Float[np.ndarray, "N 3"],
-    wheels_at: Callable[[float], Float[np.ndarray, "N 3"]] | None,
-    load: Load,
-    config: MotionConfig,
-    ignored: Bool[np.ndarray, "H W"] | None = None,
-) -> tuple[Motion, Landmarks]:
+@dataclasses.dataclass(frozen=True)
+class Keyframes:
+    """What is known of a run's keyframes before their motion is.
+
+    Attributes:
+      frames: frame number of every keyframe.
+      times: s.
+      landmarks: under the camera as it is given.
+      views: floor views, uint8.
+      view: of the run.
+      wheels_at: (what is added to the images' stamps, s) -> odometry at the keyframes; None without wheels.
+      load: frame number -> (RGB, depth) for the whole image, where the floor tells nothing.
+      ignored: pixels of the image that are no world.
+    """
+
+    frames: Int[np.ndarray, " N"]
+    times: Float[np.ndarray, " N"]
+    landmarks: Landmarks
+    views: UInt8[np.ndarray, "N h w 3"]
+    view: RunView
+    wheels_at: Callable[[float], Float[np.ndarray, "N 3"]] | None
+    load: Load
+    ignored: Bool[np.ndarray, "H W"] | None
+
+
+def fused_motion(keyframes: Keyframes, camera: Camera, start: Float[np.ndarray, "N 3"], config: MotionConfig) -> Motion:
     """Measures steps and settles the chain.
 
     Args:
-      frames: frame number of every keyframe.
-      times: s.
-      landmarks: of the keyframes.
-      views: their floor views, uint8.
-      view: of the run.
+      keyframes: see there.
       camera: as it is thought to be mounted.
       start: where the keyframes are thought to be: what is measured against what follows from it.
-      wheels_at: (what is added to the images' stamps, s) -> odometry at the keyframes; None without wheels.
-      load: frame number -> (RGB, depth) for the whole image, where the floor tells nothing.
       config: see there.
-      ignored: pixels of the image that are no world.
-
-    Returns:
-      The motion, and the landmarks under its camera.
     """
-    count = len(frames)
-    given, reach, total = landmarks, None, Tilt(0.0, 0.0, 0.0, 0.0, 0, False)
-    for again in (False, True):
-        floor, matches, camera, landmarks, tilt = measure_steps(
+
+    def attempt(camera: Camera) -> Motion:
+        landmarks = remounted_landmarks(keyframes.landmarks, camera)
+        pairs, camera, tilt = upright_pairs(
             landmarks,
-            view,
+            keyframes.view,
             camera,
             start,
             tolerance_m=config.tolerance_m,
             refine=config.refine != "none",
             seed=config.seed + 1,
         )
-        total = total.further(tilt)
-        trust_depth = height_off(landmarks, camera) > TRUST_DEPTH
-        if trust_depth:
-            columns = floor.i, floor.j, floor.inliers, floor.matches
-            floor = table_of(*columns, matches, camera, config.tolerance_m, True)
-        wheels = None if wheels_at is None else wheels_at(0.0)
-        if wheels is not None:
-            floor = without_body(floor, wheels, views, config.errors)
-        steps = joined([floor, bridge(floor, count, frames, times, wheels, camera, load, config.errors, ignored)])
-        offset, wrong = TimeOffset(), None
-        if wheels is not None and wheels_at is not None:
-            if config.estimate_offset:
-                offset = offset_of(steps, wheels_at, config.errors)
-                wheels = wheels_at(offset.offset_s)
-            wrong = systematic_of(steps, wheels, times, config.errors)
-        if config.refine != "all" or again:
-            break
-        reach = reach_of(steps, landmarks, camera, wheels, wrong, config.errors)
-        camera = moved_camera(camera, reach)
-        landmarks = remounted_landmarks(given, camera)
+        return conclude(keyframes, pairs, camera, tilt, config)
+
+    motion = attempt(camera)
+    if config.refine != "all":
+        return motion
+    wheels = None if keyframes.wheels_at is None else keyframes.wheels_at(motion.offset.offset_s)
+    landmarks = remounted_landmarks(keyframes.landmarks, motion.camera)
+    reach = reach_of(motion.steps, landmarks, motion.camera, wheels, motion.wheels, config.errors)
+    again = attempt(moved_camera(motion.camera, reach))
+    return dataclasses.replace(again, reach=reach, tilt=motion.tilt.further(again.tilt))
+
+
+def motion_with_closures(
+    motion: Motion,
+    keyframes: Keyframes,
+    closures: PairMatches,
+    believed: Bool[np.ndarray, " K"],
+    config: MotionConfig,
+) -> Motion:
+    """The motion under the tilt that steps and closures together tell; views from opposite sides tell it best."""
+    if config.refine == "none" or not believed.any():
+        return motion
+    both = jax.tree.map(lambda a, b: np.concatenate([a, b]), motion.pairs.matches, closures)
+    used = np.concatenate([motion.pairs.believed, believed])
+    camera, more = refine_tilt(both, used, motion.camera, config.tolerance_m, certain=not motion.tilt.applied)
+    tilt = motion.tilt.further(more)
+    if not more.applied:
+        return dataclasses.replace(motion, tilt=tilt)
+    concluded = conclude(keyframes, motion.pairs, camera, tilt, config, motion.bridged)
+    return dataclasses.replace(concluded, reach=motion.reach)
+
+
+def conclude(
+    keyframes: Keyframes,
+    pairs: FloorPairs,
+    camera: Camera,
+    tilt: Tilt,
+    config: MotionConfig,
+    bridged: Steps | None = None,
+) -> Motion:
+    """The motion that verified pairs tell under a camera; what the whole images say is measured where not given."""
+    count, times, wheels_at = len(keyframes.frames), keyframes.times, keyframes.wheels_at
+    landmarks = remounted_landmarks(keyframes.landmarks, camera)
+    trust_depth = height_off(landmarks, camera) > TRUST_DEPTH
+    floor = table_of(pairs, camera, config.tolerance_m, trust_depth)
+    wheels = None if wheels_at is None else wheels_at(0.0)
+    if wheels is not None:
+        floor = without_body(floor, wheels, keyframes.views, config.errors)
+    if bridged is None:
+        bridged = bridge(
+            floor, count, keyframes.frames, times, wheels, camera, keyframes.load, config.errors, keyframes.ignored
+        )
+    steps = joined([floor, bridged])
+    offset, wrong = TimeOffset(), None
+    if wheels is not None and wheels_at is not None:
+        if config.estimate_offset:
+            offset = offset_of(steps, wheels_at, config.errors)
+            wheels = wheels_at(offset.offset_s)
+        wrong = systematic_of(steps, wheels, times, config.errors)
     settled = fuse(steps, count, times, wheels, wrong, config.errors)
-    jumps = tuple(dataclasses.replace(jump, frame=int(frames[jump.frame])) for jump in settled.jumps)
-    motion = Motion(
-        frames=frames,
+    return Motion(
+        frames=keyframes.frames,
         camera=camera,
         poses=settled.poses,
         covariance=settled.covariance,
@@ -156,11 +203,12 @@ def fused_motion(
         steps=settled.steps,
         wheels=wrong,
         offset=offset,
-        tilt=total,
-        reach=reach,
-        jumps=jumps,
+        tilt=tilt,
+        reach=None,
+        jumps=tuple(dataclasses.replace(jump, frame=int(keyframes.frames[jump.frame])) for jump in settled.jumps),
         carried=settled.carried,
         trust_depth=trust_depth,
         warnings=mount_warnings(wrong, trust_depth, landmarks, camera),
+        pairs=pairs,
+        bridged=bridged,
     )
-    return motion, landmarks

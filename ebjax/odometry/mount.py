@@ -24,24 +24,25 @@ SHARED = 3.0
 SIGNIFICANT = 13.8
 """The 99.9 % point of chi-square with two degrees of freedom: below it the mount stays as it is."""
 MATCHES = 64
-PAIRS = 128
-ROUNDS = 6
+PAIRS = 256
+ROUNDS = 5
 
 
 @dataclasses.dataclass(frozen=True)
 class Tilt:
     """What pitch and roll were found to be off by, degrees, with deviations, and whether that was put right."""
 
-    pitch_deg: float
-    roll_deg: float
-    pitch_sigma_deg: float
-    roll_sigma_deg: float
-    pairs: int
-    applied: bool
+    pitch_deg: float = 0.0
+    roll_deg: float = 0.0
+    pitch_sigma_deg: float = PRIOR_DEG
+    roll_sigma_deg: float = PRIOR_DEG
+    pairs: int = 0
+    applied: bool = False
 
     def further(self, more: "Tilt") -> "Tilt":
-        """This, and what was found beyond it."""
-        off = self.pitch_deg + more.pitch_deg, self.roll_deg + more.roll_deg
+        """This where it was put right, and what was found beyond it."""
+        pitch, roll = (self.pitch_deg, self.roll_deg) if self.applied else (0.0, 0.0)
+        off = pitch + more.pitch_deg, roll + more.roll_deg
         return Tilt(*off, more.pitch_sigma_deg, more.roll_sigma_deg, more.pairs, self.applied or more.applied)
 
 
@@ -103,19 +104,20 @@ def _solve(matches: PairMatches, use: Float[Array, " P"], camera: Camera, tolera
 
 
 def refine_tilt(
-    matches: PairMatches, used: Bool[np.ndarray, " P"], camera: Camera, tolerance_m: float
+    matches: PairMatches, used: Bool[np.ndarray, " P"], camera: Camera, tolerance_m: float, *, certain: bool = True
 ) -> tuple[Camera, Tilt]:
     """Pitch and roll of a camera, from pairs that look at the same floor, in the same or in opposite direction.
 
     Args:
       matches: of the pairs, with starts that are right to about the tolerance.
-      used: which pairs count; at most 128 of them, evenly spread, are looked at.
+      used: which pairs count; at most 256 of them, evenly spread, are looked at.
       camera: as it is thought to be mounted.
       tolerance_m: matches that are farther off than twice this count for nothing.
+      certain: whether the mount stays as it is unless it is contradicted significantly.
     """
     rows = np.flatnonzero(used)
     if len(rows) < 8:
-        return camera, Tilt(0.0, 0.0, PRIOR_DEG, PRIOR_DEG, len(rows), False)
+        return camera, Tilt(pairs=len(rows))
     if len(rows) > PAIRS:
         rows = rows[np.linspace(0, len(rows) - 1, PAIRS).round().astype(int)]
     padded = np.resize(rows, PAIRS)
@@ -127,6 +129,6 @@ def refine_tilt(
     covariance = covariance * SHARED**2
     sigma = np.degrees(np.sqrt(np.diag(covariance)))
     found = np.degrees(tilt)
-    off = bool(np.isfinite(tilt).all() and tilt @ np.linalg.solve(covariance, tilt) > SIGNIFICANT)
+    off = bool(np.isfinite(tilt).all() and tilt @ np.linalg.solve(covariance, tilt) > SIGNIFICANT * certain)
     report = Tilt(float(found[0]), float(found[1]), float(sigma[0]), float(sigma[1]), len(rows), off)
     return (tilted(camera, jnp.asarray(tilt)) if off else camera), report

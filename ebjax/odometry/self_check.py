@@ -75,7 +75,7 @@ def reach_of(
         counted[:, :2] *= wrong.scale
         sigmas = errors.step_sigmas(wheels)[j]
         x = x_from_turns(back, counted, np.hypot(sigmas, np.sqrt(steps.covariance[rows][:, [0, 1, 2], [0, 1, 2]])))
-    return Reach(found[0], x[0], found[1], x[1])
+    return Reach(found[0], x[0], found[1], x[1]).significant()
 
 
 def moved_camera(camera: Camera, reach: Reach) -> Camera:

@@ -6,6 +6,7 @@ import resource
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -32,7 +33,7 @@ from ebjax.slam.select import SelectConfig
 from ebjax.slam.why import why_nothing
 from ebjax.slam.world import planar
 from ebjax.views.depth_floor import camera_from_depth
-from ebjax.views.run_view import choose_floor, from_camera, from_quad, without
+from ebjax.views.run_view import RunView, choose_floor, from_camera, from_quad, without
 from ebjax.views.static_pixels import spread, static_pixels
 from ebjax.viz.motion import motion_lines, motion_metrics
 from ebjax.viz.run_folder import write_run
@@ -133,20 +134,14 @@ def main(config: Config) -> None:
         sequence = with_camera(sequence, config.camera)
     frames = Frames(sequence)
     camera = run_camera(config, sequence, frames)
-    try:
-        if config.quad is not None:
-            view = from_quad(camera, np.array(config.quad, np.float64).reshape(4, 2), config.quad_margin)
-        elif config.view is not None:
-            view = from_camera(camera, FloorView(*config.view, config.metres_per_px))
-        else:
-            view = from_camera(camera, choose_floor(camera, config.metres_per_px))
-    except ValueError as fault:
-        raise ValueError(f"{config.camera or sequence.path / 'camera.json'}: {fault}") from None
     for note in sequence.notes:
         print(note)
     ignored = ignored_pixels(config, sequence, frames)
-    if ignored is not None:
-        view = without(view, ignored)
+    looking = partial(run_view, config, ignored)
+    try:
+        looking(camera)
+    except ValueError as fault:
+        raise ValueError(f"{config.camera or sequence.path / 'camera.json'}: {fault}") from None
 
     odometry = None if sequence.odom_from_base is None else planar(sequence.odom_from_base)
     retimed = None
@@ -161,7 +156,7 @@ def main(config: Config) -> None:
         with contextlib.ExitStack() as at_end:
             known = remembering(config, at_end)
             result = run_pipeline(
-                frames.load, sequence.timestamps, odometry, camera, view, config, progress, known, retimed, ignored
+                frames.load, sequence.timestamps, odometry, camera, looking, config, progress, known, retimed, ignored
             )
     except ValueError as fault:
         if not frames.broken:
@@ -180,6 +175,17 @@ def main(config: Config) -> None:
         write_run(folder, sequence, frames.load, result, metrics, config.map_metres_per_px)
         dump_config(config, folder / "config.yaml")
     print_summary(config, metrics)
+
+
+def run_view(config: Config, ignored: np.ndarray | None, camera: Camera) -> RunView:
+    """The floor that a camera looks at, as the options say, without ignored pixels."""
+    if config.quad is not None:
+        view = from_quad(camera, np.array(config.quad, np.float64).reshape(4, 2), config.quad_margin)
+    elif config.view is not None:
+        view = from_camera(camera, FloorView(*config.view, config.metres_per_px))
+    else:
+        view = from_camera(camera, choose_floor(camera, config.metres_per_px))
+    return view if ignored is None else without(view, ignored)
 
 
 def with_camera(sequence: Sequence, path: Path) -> Sequence:

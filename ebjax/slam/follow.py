@@ -4,11 +4,9 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from ebjax.features.landmarks import take
-from ebjax.features.verify_pairs import verify_blocks
 from ebjax.geometry.camera import Camera
 from ebjax.geometry.planar import chained, inverse
-from ebjax.odometry.floor_steps import table_of
+from ebjax.odometry.floor_steps import table_of, verified_pairs
 from ebjax.odometry.motion import MotionConfig
 from ebjax.slam.describe import Described
 
@@ -33,14 +31,10 @@ def follow(
     count = len(frames)
     later, earlier = np.arange(1, count), np.arange(count - 1)
 
-    def pick(a, b, _):
-        return take(described.landmarks, a), take(described.landmarks, b)
-
-    found, *_, matches = verify_blocks(
-        pick, camera, later, earlier, np.zeros(count - 1, bool), tolerance_m=config.tolerance_m, seed=config.seed + 2
+    pairs = verified_pairs(
+        described.landmarks, camera, later, earlier, tolerance_m=config.tolerance_m, seed=config.seed + 2
     )
-    inliers, total = (np.asarray(rows).sum(-1) for rows in (found.inliers, found.matched))
-    table = table_of(later, earlier, inliers, total, matches, camera, config.tolerance_m)
+    table = table_of(pairs, camera, config.tolerance_m)
     step, good = inverse(table.i_from_j), table.used
     seconds = np.diff(timestamps[frames])
     speed = np.zeros(3)

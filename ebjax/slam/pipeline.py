@@ -17,13 +17,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ebjax.features.extractor import extractor
-from ebjax.features.landmarks import remounted_landmarks
 from ebjax.features.remember import remembered
 from ebjax.features.verify import Verified
 from ebjax.geometry.camera import Camera
 from ebjax.models.fast import Arithmetic
 from ebjax.odometry.floor_steps import measured
-from ebjax.odometry.motion import Motion, MotionConfig, fused_motion
+from ebjax.odometry.motion import Motion
 from ebjax.odometry.wheels import WheelErrors
 from ebjax.places.descriptor import descriptor
 from ebjax.places.retrieve import LoopCandidates, comparable
@@ -32,13 +31,12 @@ from ebjax.posegraph.graph import PoseGraph
 from ebjax.posegraph.levenberg import Solution
 from ebjax.posegraph.lm import cut_off, solve
 from ebjax.slam.describe import Described
-from ebjax.slam.follow import follow
-from ebjax.slam.keyframes import Load, Progress, describe_keyframes, moved_enough
+from ebjax.slam.keyframes import Load, Progress
 from ebjax.slam.path import Path as RunPath
-from ebjax.slam.path import path_of_motion, path_of_wheels
 from ebjax.slam.select import KEPT, Measured, SelectConfig, plausible, select
+from ebjax.slam.travel import Recording, motion_config, travel
 from ebjax.slam.verify import verify_pairs
-from ebjax.views.run_view import RunView, remounted_view
+from ebjax.views.run_view import RunView
 
 Remember = Callable[[str, Path | None], Callable[[Callable], Callable]]
 MIN_DEPTH_INLIERS = 8
@@ -147,7 +145,7 @@ def run(
     timestamps: Float[np.ndarray, " F"],
     odom_from_base: Float[np.ndarray, "F 3"] | None,
     camera: Camera,
-    view: RunView,
+    view: RunView | Callable[[Camera], RunView],
     config: PipelineConfig,
     progress: Progress = lambda items, total, label: iter(items),
     remember: Remember | None = None,
@@ -161,7 +159,7 @@ def run(
       timestamps: s, increasing.
       odom_from_base: x, y (m) and heading (rad) of every frame; None without wheels.
       camera: of the run.
-      view: the floor it looks at.
+      view: the floor it looks at, or what chooses it for a camera whose tilt was put right.
       config: see there.
       progress: wraps the long loop.
       remember: of a network's name and weights, gives what wraps its functions so that they look up what they know.
@@ -176,10 +174,8 @@ def run(
     def stage(name: str, start: float) -> None:
         seconds[name] = time.perf_counter() - start
 
-    way = config.motion or ("floor" if odom_from_base is None else "wheels+floor")
-    if odom_from_base is None and way != "floor":
-        raise ValueError(f"--motion {way} needs odometry; run with --motion floor")
-    start = time.perf_counter()
+    if odom_from_base is None and config.motion not in (None, "floor"):
+        raise ValueError(f"--motion {config.motion} needs odometry; run with --motion floor")
     networks = config.weights, config.arithmetic
     chosen, place = extractor(config.extractor, *networks), descriptor(config.descriptor, *networks)
     check_ranking(config.ranking, place.has_maps)
@@ -187,58 +183,11 @@ def run(
         chosen = remembered(chosen, remember(config.extractor, chosen.weights))
     if remember is not None and not place.jitted:
         place = dataclasses.replace(place, look=remember(config.descriptor, place.weights)(place.look))
-    if way == "floor" or odom_from_base is None:
-        frames = list(range(len(timestamps)))
-    else:
-        frames = moved_enough(odom_from_base, config.keyframe_m, config.keyframe_deg)
-    keyframes, described = describe_keyframes(load, frames, camera, view, chosen, place, progress)
-    stage("describe", start)
-
-    start = time.perf_counter()
-    motion = None
-    if way == "wheels":
-        assert odom_from_base is not None
-        path = path_of_wheels(odom_from_base, config.odometry)
-    else:
-        steps = MotionConfig(
-            config.tolerance_m, config.mount.refine, odometry_at is not None, config.seed, config.odometry
-        )
-        if way == "floor":
-            keyframes, described, everywhere = follow(
-                described, keyframes, timestamps, camera, config.keyframe_m, config.keyframe_deg, steps
-            )
-            begin, wheels_at = everywhere[keyframes], None
-        else:
-            assert odom_from_base is not None
-            everywhere = odom_from_base
-            begin = everywhere[keyframes]
-
-            def wheels_at(offset: float) -> Float[np.ndarray, "N 3"]:
-                return begin if not offset or odometry_at is None else odometry_at(offset)[keyframes]
-
-        motion, landmarks = fused_motion(
-            keyframes,
-            timestamps[keyframes],
-            described.landmarks,
-            np.asarray(described.view),
-            view,
-            camera,
-            begin,
-            wheels_at,
-            load,
-            steps,
-            ignored,
-        )
-        if motion.offset.offset_s and odometry_at is not None:
-            everywhere = odometry_at(motion.offset.offset_s)
-        if motion.camera is not camera:
-            camera, view = motion.camera, remounted_view(view, motion.camera)
-            turned = described.turned
-            turned = None if turned is None else remounted_landmarks(turned, camera)
-            described = dataclasses.replace(described, landmarks=landmarks, turned=turned)
-        path = path_of_motion(motion, everywhere)
+    recording = Recording(load, timestamps, odom_from_base, odometry_at, ignored)
+    view_of = view if callable(view) else lambda _: view
+    found = travel(recording, camera, view_of, chosen, place, config, progress, seconds)
+    keyframes, described, path = found.keyframes, found.described, found.path
     rows = np.searchsorted(path.frames, keyframes)
-    stage("motion", start)
 
     start = time.perf_counter()
     travelled = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(path.poses[:, :2], axis=0), axis=1))])
@@ -254,29 +203,34 @@ def run(
         rows[ranked.i],
         rows[ranked.j],
         path.poses,
-        view.centre_m,
-        view.extent_m,
+        found.view.centre_m,
+        found.view.extent_m,
         path.covariance,
         config.select.odometry_sigmas,
     )
     pick = best_of_each_direction(np.asarray(ranked.valid) & believable, np.asarray(ranked.opposing), config.verify)
     i, j, opposing, distance = (a[pick] for a in (ranked.i, ranked.j, ranked.opposing, ranked.distance))
     verified, floor, depth, with_depth, matches = verify_pairs(
-        described, chosen, camera, i, j, opposing, tolerance_m=config.tolerance_m, seed=config.seed
+        described, chosen, found.camera, i, j, opposing, tolerance_m=config.tolerance_m, seed=config.seed
     )
-    if motion is None:
+    inliers, total = (np.asarray(rows).sum(-1) for rows in (verified.inliers, verified.matched))
+    if found.motion is None:
         by_depth = with_depth >= MIN_DEPTH_INLIERS
         i_from_j = np.where(by_depth[:, None], depth.i_from_j, floor.i_from_j).astype(np.float64)
         covariance = np.where(by_depth[:, None, None], depth.covariance, floor.covariance).astype(np.float64)
     else:
-        i_from_j, covariance, by_depth = measured(matches, camera, config.tolerance_m, motion.trust_depth)
+        agree = (inliers >= config.select.min_inliers) & (inliers >= config.select.min_inlier_ratio * total)
+        found = found.with_closures(matches, agree, motion_config(config, recording))
+        described, path = found.described, found.path
+        assert found.motion is not None
+        i_from_j, covariance, by_depth = measured(matches, found.camera, config.tolerance_m, found.motion.trust_depth)
     candidates = Measured(
         keyframes[i],
         keyframes[j],
         opposing,
         distance,
-        np.asarray(verified.inliers).sum(-1),
-        np.asarray(verified.matched).sum(-1),
+        inliers,
+        total,
         i_from_j,
         covariance,
     )
@@ -301,9 +255,9 @@ def run(
     return Result(
         keyframes,
         described,
-        camera,
-        view,
-        motion,
+        found.camera,
+        found.view,
+        found.motion,
         ranked,
         verified,
         candidates,
