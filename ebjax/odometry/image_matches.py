@@ -100,12 +100,12 @@ def match_features(
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     cosine = one.descriptors @ two.descriptors.T
     rows = np.arange(len(one))
-    partner, back = cosine.argmax(1), cosine.argmax(0)
+    partner, column_best = cosine.argmax(1), cosine.max(0)
     best = cosine[rows, partner]
     cosine[rows, partner] = -1
     second = cosine.max(1)
     share = np.sqrt(np.maximum(1 - best, 0) / np.maximum(1 - second, 1e-9))
-    good = np.flatnonzero((back[partner] == rows) & (share < ratio))
+    good = np.flatnonzero((best >= column_best[partner]) & (share < ratio))
     good = good[np.argsort(share[good], kind="stable")]
     # A corner with two orientations is one corner.
     places = np.round(np.hstack([one.keypoints[good], two.keypoints[partner[good]]]))

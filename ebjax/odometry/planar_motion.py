@@ -5,9 +5,10 @@ by b = (bx, by, 0) there; that of the base is i_from_j = (x, y, theta). Host sid
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ebjax.geometry.camera import Camera
 
@@ -47,6 +48,21 @@ class Pairs:
     def __len__(self) -> int:
         """Returns the number of matches."""
         return len(self.pixels_i)
+
+    @cached_property
+    def has_depth(self) -> Bool[np.ndarray, " N"]:
+        """Whether depth was measured in both images."""
+        return ~np.isnan(self.rho_j)
+
+    @cached_property
+    def may_be_floor(self) -> Bool[np.ndarray, " N"]:
+        """Whether both rays meet the floor in range, and no depth says what is there."""
+        return ~np.isnan(self.rho_floor) & ~self.has_depth
+
+    @cached_property
+    def known(self) -> Float[np.ndarray, " N"]:
+        """Inverse depth in j, measured or else that of the floor, 1/m; 0 where it meets none."""
+        return np.where(self.has_depth, self.rho_j, np.nan_to_num(self.rho_floor, nan=0.0))
 
     def take(self, rows: np.ndarray) -> "Pairs":
         """Some of the matches."""

@@ -66,28 +66,31 @@ def explain(
     *,
     floor: bool = True,
     like: Explained | None = None,
+    open_end: bool = False,
 ) -> Explained:
     """Distances of the seen pixels from where each motion lets them lie.
 
-    A match costs |r|^2 / sigma^2 plus 2 log(1 + L / sqrt(2 pi) sigma), L the length of the segment that its unknown
-    depth leaves open: a motion that says more, and is right, wins. The floor says all, as a measured depth does.
+    A match costs |r|^2 / sigma^2 plus 2 log(1 + L / sqrt(2 pi) sigma), L the length that its unknown depth leaves
+    open: a motion that says more, and is right, wins. The floor says all, as a measured depth does.
 
     Args:
       motions: (bx, by, theta) of the camera.
       pairs: the matches.
-      floor: whether a match may be a point of the floor.
+      floor: whether a match may be a point of the floor, and none may lie beyond it.
       like: take what is floor, and the spread, from these: what derivatives need.
+      open_end: let segments reach the camera. At an unknown scale their end is a matter of taste, no information.
     """
     far_x, far_y, dx, dy, bend, ratio = segments(motions, pairs)
     ox, oy = pairs.pixels_i[:, 0] - far_x, pairs.pixels_i[:, 1] - far_y
-    has_depth = ~np.isnan(pairs.rho_j)
-    known = np.where(has_depth, pairs.rho_j, np.nan_to_num(pairs.rho_floor, nan=0.0))
+    has_depth, known = pairs.has_depth, pairs.known
+    # No wall is seen behind the floor. A tenth is left to noise: what lies just above the floor must not pull at it.
+    least = 0.9 * known * ~has_depth if floor else np.zeros_like(known)
     length2 = dx * dx + dy * dy + 1e-20
     length = np.sqrt(length2)
     inner = (ox * dx + oy * dy) / length
     # The nearest place on the line: inner = length rho / (1 + bend rho).
-    open_end = length - inner * bend
-    rho = np.clip(inner / np.where(open_end > 0, open_end, 1e-12), 0, RHO_MAX)
+    rest = length - inner * bend
+    rho = np.clip(inner / np.where(rest > 0, rest, 1e-12), least, 1e3 if open_end else RHO_MAX)
     at, at_known = rho / np.maximum(1 + bend * rho, 0.05), known / np.maximum(1 + bend * known, 0.05)
     wall_x, wall_y = ox - dx * at, oy - dy * at
     exact_x, exact_y = ox - dx * at_known, oy - dy * at_known
@@ -106,13 +109,11 @@ def explain(
         exact_x, exact_y = exact_x - forgiven * dx, exact_y - forgiven * dy
         seen = np.nan_to_num(pairs.rho_i, nan=0.0)
         third = np.where(has_depth, (seen - known / ratio_known) / (RHO_SIGMA * np.sqrt(1 + ratio_known**-4)), 0)
-    reach = length * RHO_MAX / np.maximum(1 + bend * RHO_MAX, 0.05)
-    wall_cost = (wall_x**2 + wall_y**2) / wall_spread**2 + 2 * np.log1p(reach / (2.5 * wall_spread))
+    # At an unknown scale 1 to 2 m are as likely as 10 to 20: the way that a corner moved counts, not how far it might.
+    open_px = length * RHO_MAX / np.maximum(1 + bend * RHO_MAX, 0.05) if floor else 3 * length * at
+    wall_cost = (wall_x**2 + wall_y**2) / wall_spread**2 + 2 * np.log1p(open_px / (2.5 * wall_spread))
     exact_cost = (exact_x**2 + exact_y**2) / exact_spread**2 + third**2
-    if like is None:
-        is_floor = ~np.isnan(pairs.rho_floor) & ~has_depth & floor & (exact_cost < wall_cost)
-    else:
-        is_floor = like.floor
+    is_floor = pairs.may_be_floor & floor & (exact_cost < wall_cost) if like is None else like.floor
     exact = is_floor | has_depth
     behind = ratio <= 0.05
     spread = np.where(exact, exact_spread, wall_spread)
@@ -127,7 +128,7 @@ def quick_score(motions: Float[np.ndarray, "H 3"], pairs: Pairs) -> Float[np.nda
     single = pairs.single()
     far_x, far_y, dx, dy, bend, ratio = segments(motions, single)
     ox, oy = single.pixels_i[:, 0] - far_x, single.pixels_i[:, 1] - far_y
-    known = np.where(np.isnan(pairs.rho_j), pairs.rho_floor, pairs.rho_j).astype(np.float32)
+    known = np.where(pairs.has_depth | pairs.may_be_floor, pairs.known, np.nan).astype(np.float32)
     length2 = dx * dx + dy * dy + np.float32(1e-12)
     # Behind x(0) the nearest place is x(0) itself.
     inner = np.maximum(ox * dx + oy * dy, 0) / length2

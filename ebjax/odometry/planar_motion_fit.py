@@ -17,9 +17,13 @@ RIDGE = np.array([25.0, 25.0, 100.0])
 """Information that keeps what no match tells: 0.2 m, 0.1 rad."""
 FREEDOM = 3.0
 """Degrees of freedom of Student's distribution: most corners lie far better than the worst."""
+POLISH = 5
 SETS = 125
 SUBSET = 100
 """The search looks at so many of the best matches; the last refinement at all of them."""
+CLEAR = 0.35
+"""Share of the cost of wrong matches below which a motion is taken for found."""
+PROFILE_RAD = np.radians([0.1, 0.2, 0.3, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.5])
 LEVELS_M = np.array([0.0, 0.02, 0.06, 0.2, 0.6])
 """Lengths of b that are tried where only its direction is known."""
 
@@ -39,30 +43,41 @@ class Fit:
         return Fit(self.motions[order], self.scores[order], Explained(**rows))
 
 
-def jacobian(motions: Float[np.ndarray, "C 3"], pairs: Pairs, at: Explained) -> Float[np.ndarray, "3 3 C N"]:
+def jacobian(motions: Float[np.ndarray, "C 3"], pairs: Pairs, at: Explained, **options) -> Float[np.ndarray, "3 3 C N"]:
     """Derivatives of the residuals (second axis) by bx, by, theta (first axis)."""
-    ahead = explain(motions + np.diag(STEPS)[:, None, :], pairs, like=at).residuals
+    ahead = explain(motions + np.diag(STEPS)[:, None, :], pairs, like=at, **options).residuals
     return (ahead.swapaxes(0, 1) - at.residuals) / STEPS[:, None, None, None]
 
 
 def normal_equations(
-    motions: Float[np.ndarray, "C 3"], pairs: Pairs, at: Explained, weights: Float[np.ndarray, "C N"]
+    motions: Float[np.ndarray, "C 3"], pairs: Pairs, at: Explained, weights: Float[np.ndarray, "C N"], **options
 ) -> tuple[Float[np.ndarray, "C 3 3"], Float[np.ndarray, "C 3"]]:
     """Gauss-Newton's matrix J^T W J and vector J^T W r."""
     count, n = at.cost.shape
     root = np.sqrt(weights)
-    j = (jacobian(motions, pairs, at) * root).transpose(2, 0, 1, 3).reshape(count, 3, 3 * n)
+    j = (jacobian(motions, pairs, at, **options) * root).transpose(2, 0, 1, 3).reshape(count, 3, 3 * n)
     r = (at.residuals * root).transpose(1, 0, 2).reshape(count, 3 * n)
     return j @ j.swapaxes(1, 2), (j @ r[..., None])[..., 0]
 
 
-def refine(motions: Float[np.ndarray, "C 3"], pairs: Pairs, iterations: int, *, floor: bool = True) -> Fit:
-    """Gauss-Newton from every motion, side by side, weighted by `trust`; each keeps the best it came by."""
+def refine(
+    motions: Float[np.ndarray, "C 3"], pairs: Pairs, iterations: int, *, floor: bool = True, turns: bool = True
+) -> Fit:
+    """Gauss-Newton from every motion, side by side, weighted by `trust`; each keeps the best it came by.
+
+    Args:
+      motions: where to start.
+      pairs: the matches.
+      iterations: how many.
+      floor: whether a match may be a point of the floor.
+      turns: whether theta may change.
+    """
+    ridge = np.diag(RIDGE * np.array([1.0, 1.0, 1.0 if turns else 1e13]))
     at = explain(motions, pairs, floor=floor)
     best, best_score = motions, score(at.cost)
     for _ in range(iterations):
-        hessian, gradient = normal_equations(motions, pairs, at, trust(at.cost))
-        step = np.linalg.solve(hessian + np.diag(RIDGE), gradient[..., None])[..., 0]
+        hessian, gradient = normal_equations(motions, pairs, at, trust(at.cost), floor=floor)
+        step = np.linalg.solve(hessian + ridge, gradient[..., None])[..., 0]
         step *= np.minimum(1, 0.2 / np.maximum(np.abs(step).max(1), 1e-9))[:, None]
         motions = motions - step
         at = explain(motions, pairs, floor=floor)
@@ -100,44 +115,67 @@ def search(pairs: Pairs, start: Float[np.ndarray, "K 3"], *, floor: bool = True,
     epipolar = epipolar_pairs(some, SETS, random) * [0.3, 0.3, 1]
     motions = np.concatenate([start, turn_peaks(some, 3), epipolar, rigid_pairs(some, SETS, random)])
     fit = refine(motions[distinct(motions, quick_score(motions, some), 8)], some, 3)
-    more = [fit.motions]
-    for motion in fit.motions[np.argsort(fit.scores)[:4]]:
-        way = motion[:2] / max(np.linalg.norm(motion[:2]), 1e-9)
-        more.append(np.column_stack([LEVELS_M[:, None] * way, np.full(len(LEVELS_M), motion[2])]))
-        more.append(floor_votes(motion[2], some, 8))
-    motions = np.concatenate(more)
-    fit = refine(motions[distinct(motions, score(explain(motions, some).cost), 6, (0.02, 0.02, 0.01))], some, 4)
-    fit = refine(fit.motions[distinct(fit.motions, fit.scores, 3)], pairs, 4, floor=floor)
+    # What explains most matches at once needs no further hypotheses.
+    if fit.scores.min() > CLEAR * WRONG_COST * len(some):
+        more = [fit.motions]
+        for motion in fit.motions[np.argsort(fit.scores)[:4]]:
+            way = motion[:2] / max(np.linalg.norm(motion[:2]), 1e-9)
+            more.append(np.column_stack([LEVELS_M[:, None] * way, np.full(len(LEVELS_M), motion[2])]))
+            more.append(floor_votes(motion[2], some, 8))
+        motions = np.concatenate(more)
+        fit = refine(motions[distinct(motions, score(explain(motions, some).cost), 6, (0.02, 0.02, 0.01))], some, 3)
+    fit = refine(fit.motions[distinct(fit.motions, fit.scores, 3)], pairs, 3, floor=floor)
     return fit.sorted()
 
 
+def turn_width(motion: Float[np.ndarray, "3"], pairs: Pairs) -> float:
+    """How far theta may turn, b following, until the score is worse by two wrong matches, rad; no floor.
+
+    A turn and a sideways move look alike where all corners are close together, and then a few wrong matches decide:
+    what the noise of the right ones says of theta is too good.
+    """
+    offsets = np.concatenate([-PROFILE_RAD[::-1], PROFILE_RAD])
+    starts = np.repeat(motion[None], len(offsets), 0) + offsets[:, None] * [0, 0, 1]
+    scores = refine(starts, pairs, 5, floor=False, turns=False).scores
+    near = score(explain(motion[None], pairs, floor=False).cost)[0] + 2 * WRONG_COST
+    return float(np.abs(offsets[scores < near]).max(initial=PROFILE_RAD[0]))
+
+
 def polish(
-    motion: Float[np.ndarray, "3"], pairs: Pairs, prior_information: Float[np.ndarray, "3 3"], *, floor: bool = True
-) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"], Explained]:
+    motion: Float[np.ndarray, "3"],
+    pairs: Pairs,
+    prior: Float[np.ndarray, "3"],
+    information: Float[np.ndarray, "3 3"],
+    *,
+    floor: bool = True,
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
     """The last refinement: Student's weights, the noise of the corners estimated with the motion (Lange et al. 1989).
 
     Args:
       motion: (bx, by, theta), nearly right.
       pairs: all matches.
-      prior_information: of the step from `motion`; keeps what no match tells.
+      prior: (bx, by, theta), for what no match tells.
+      information: of the prior, in these numbers.
       floor: whether a match may be a point of the floor.
 
     Returns:
-      The motion, its covariance by the noise of its own residuals, and what it makes of the matches.
+      The motion, and its covariance by the noise of its own residuals.
     """
     motions, variance = motion[None], 1.0
     at = explain(motions, pairs, floor=floor)
     keep = at.cost < WRONG_COST
-    freedom = np.where(~np.isnan(pairs.rho_j), 3, np.where(at.floor, 2, 1)) * keep
-    for _ in range(6):
+    freedom = np.where(pairs.has_depth, 3, np.where(at.floor, 2, 1)) * keep
+    for _ in range(POLISH):
         squared = (at.residuals**2).sum(0) / variance
         weights = keep * (FREEDOM + freedom) / (FREEDOM + squared)
-        hessian, gradient = normal_equations(motions, pairs, at, weights / variance)
-        gradient = gradient + (prior_information @ (motions - motion[None]).T).T
-        hessian = hessian + prior_information
-        motions = motions - np.linalg.solve(hessian, gradient[..., None])[..., 0]
+        hessian, gradient = normal_equations(motions, pairs, at, weights / variance, floor=floor)
+        gradient = gradient + (motions - prior) @ information
+        motions = motions - np.linalg.solve(hessian + information, gradient[..., None])[..., 0]
         variance = max(variance * (weights * squared).sum() / max(freedom.sum() - 3, 1), 0.01)
         at = explain(motions, pairs, floor=floor, like=at)
     # Fisher's information of Student's location is (v + d) / (v + d + 2) of the Gauss-Newton matrix at unit weight.
-    unit, _ = normal_equations(motions, pairs, at, keep * (FREEDOM + freedom) / (FREEDOM + freedom + 2) / variance)
-    return motions[0], np.linalg.inv(unit[0] + prior_information), explain(motions, pairs, floor=floor)
+    weights = keep * (FREEDOM + freedom) / (FREEDOM + freedom + 2) / variance
+    if not floor:
+        at = explain(motions, pairs, floor=floor, like=at, open_end=True)
+    unit, _ = normal_equations(motions, pairs, at, weights, floor=floor, open_end=not floor)
+    return motions[0], np.linalg.inv(unit[0] + information)

@@ -17,7 +17,7 @@ from ebjax.odometry.image_guided import guided_matches
 from ebjax.odometry.image_matches import COUNT, ImageFeatures, image_features, match_features
 from ebjax.odometry.planar_motion import Pairs, base_motion, camera_motion, lever, make_pairs
 from ebjax.odometry.planar_motion_cost import WRONG_COST, explain, score
-from ebjax.odometry.planar_motion_fit import Fit, polish, refine, search
+from ebjax.odometry.planar_motion_fit import Fit, polish, refine, search, turn_width
 
 __all__ = ["ImageFeatures", "MotionMeasurement", "image_features", "measure_motion"]
 
@@ -25,13 +25,16 @@ SIGMA_PX = 0.6
 LARGE_PX = 10.0
 """Corners larger than this lie less exactly, as their size."""
 FEWEST = 10
-FEWEST_FLOOR = 6
-EVIDENCE = 120.0
-"""By how much a motion must explain the matches better than chance: wrong ones reach 110 in aliased images."""
-FLOOR_EVIDENCE = 30.0
+FEWEST_ROTATION = 20
+FEWEST_FLOOR = 8
+EVIDENCE = 140.0
+"""By how much a motion must explain the matches better than chance: wrong ones reach 120 in aliased images."""
+FLOOR_EVIDENCE = 50.0
 """By how much the floor must improve the score: a scale found among hundreds by chance does by 2 log of that, 12."""
 GUIDE_BELOW = 80
 """With fewer inliers than this, partners are looked for where the motions predict them."""
+HOPEFUL_SHARE = 0.6
+"""Motions with less of the best one's evidence cannot win by the partners that they predict."""
 RIVAL_SHARE = 0.85
 """A second motion with this share of the evidence makes the first doubtful."""
 RIVAL_RAD, RIVAL_M = 0.01, 0.05
@@ -40,9 +43,10 @@ PRIOR_CAP = 150.0
 STILL_M, STILL_RAD, STILL_PX = 0.01, 0.004, 2.0
 CELLS = 8
 MOST_SIGMA_RAD = 0.01
-PARALLAX_EVIDENCE = 15.0
-INFLATION = 2.0
-"""Factor of the covariance: matches of one image share their errors."""
+NARROW_M = 0.05
+"""Points of the floor must spread this far (standard deviation) across their line: a skirting board is no floor."""
+INFLATION = (1.5, 50.0)
+"""The covariance times 1.5 + 50 / inliers: neighbours share their errors, and among few one wrong match tells."""
 SHARED_SIGMA = (0.0005, 0.0005, 0.0001)
 """Standard deviation that all matches share: x m, y m, heading rad."""
 
@@ -139,16 +143,21 @@ def _find(images: _Images, pairs: Pairs, start: Float[np.ndarray, "K 3"], floor:
 def _guide(images: _Images, rows: tuple[np.ndarray, np.ndarray], motion: np.ndarray, floor: bool) -> tuple[Fit, Pairs]:
     """A motion refined on the matches that it predicts, besides those that it explains."""
     found = guided_matches(motion, images.one, images.two, images.corners_two())
-    both = np.unique(np.concatenate([np.stack(rows), np.stack(found)], 1), axis=1)
-    pairs = images.pairs(*both)
-    pairs = pairs.take(explain(motion[None], pairs, floor=floor).cost[0] < 3 * WRONG_COST)
-    return refine(motion[None], pairs, 4, floor=floor), pairs
+    one, two = np.concatenate([np.stack(rows), np.stack(found)], 1)
+    cost = explain(motion[None], images.pairs(one, two), floor=floor).cost[0]
+    order = np.argsort(cost, kind="stable")
+    order = order[np.sort(np.unique(one[order], return_index=True)[1])]
+    order = order[np.sort(np.unique(two[order], return_index=True)[1])]
+    pairs = images.pairs(one[order], two[order])
+    return refine(motion[None], pairs, 3, floor=floor), pairs
 
 
 def _floor_gain(motion: Float[np.ndarray, "3"], pairs: Pairs) -> float:
     """By how much the score is better than without a floor; 0 with too few points of the floor."""
     at = explain(motion[None], pairs)
-    if (at.floor & (at.cost < WRONG_COST)).sum() < FEWEST_FLOOR:
+    rows = (at.floor & (at.cost < WRONG_COST))[0]
+    points = pairs.rays_j[rows, :2] / pairs.rho_floor[rows, None]
+    if rows.sum() < FEWEST_FLOOR or np.linalg.eigvalsh(np.cov(points.T))[0] < NARROW_M**2:
         return 0.0
     return float(refine(motion[None], pairs, 4, floor=False).scores[0] - score(at.cost)[0])
 
@@ -164,18 +173,12 @@ def _right_tangent(
     return change @ covariance @ change.T
 
 
-def _carried(
-    motion: Float[np.ndarray, "3"], pairs: Pairs, guess: Float[np.ndarray, "3"], xy: Float[np.ndarray, "2"]
-) -> Float[np.ndarray, "2"]:
-    """(x, y) with the prior's length of b and the epipolar direction; the prior's own where there is no parallax."""
-    moved = guess[:2] + lever(guess[2], xy)
-    alone = refine(np.array([[0.0, 0.0, motion[2]]]), pairs, 3, floor=False)
-    alone = explain(alone.motions * [0, 0, 1], pairs, floor=False)
-    gain = score(alone.cost)[0] - score(explain(motion[None], pairs, floor=False).cost)[0]
-    if gain < PARALLAX_EVIDENCE:
-        return moved - lever(motion[2], xy)
-    way = motion[:2] / max(np.linalg.norm(motion[:2]), 1e-9)
-    return np.linalg.norm(moved) * way - lever(motion[2], xy)
+def _at_length(choice: "_Choice", expected: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    """The motion with the length of b that is expected, in its own direction or in that which is expected too."""
+    way = choice.motion[:2] / max(np.linalg.norm(choice.motion[:2]), 1e-9)
+    starts = np.stack([np.append(np.linalg.norm(expected[:2]) * way, choice.motion[2]), expected])
+    fit = refine(starts, choice.pairs, 3, floor=False)
+    return fit.motions[fit.scores.argmin()]
 
 
 @dataclass(frozen=True)
@@ -192,23 +195,32 @@ def _choose(images: _Images, rows, start: np.ndarray, penalty, floor: bool) -> _
     """Searches, looks for more matches where there are few, and weighs the motions that are left."""
     raw = images.pairs(*rows)
     fit = _find(images, raw, start, floor)
-    if _evidence(fit)[0] < EVIDENCE:
+    evidence = _evidence(fit)
+    if evidence[0] < EVIDENCE:
         return None
-    if (fit.explained.cost[0] < WRONG_COST).sum() >= GUIDE_BELOW:
-        fits, sets = fit, [raw] * len(fit.motions)
-    else:
-        guided = [_guide(images, rows, motion, floor) for motion in fit.motions]
-        fits, sets = None, [pairs for _, pairs in guided]
-    motions = fits.motions if fits else np.concatenate([g.motions for g, _ in guided])
-    evidence = _evidence(fits) if fits else np.concatenate([_evidence(g) for g, _ in guided])
+    motions, sets = fit.motions, [raw] * len(fit.motions)
+    if (fit.explained.cost[0] < WRONG_COST).sum() < GUIDE_BELOW:
+        hopeful = evidence > HOPEFUL_SHARE * evidence[0]
+        evidence = evidence[hopeful]
+        guided = [_guide(images, rows, motion, floor) for motion in motions[hopeful]]
+        motions, sets = np.concatenate([g.motions for g, _ in guided]), [pairs for _, pairs in guided]
+        evidence = evidence + np.concatenate([_evidence(g) for g, _ in guided])
     evidence = evidence - np.minimum([penalty(motion) for motion in motions], PRIOR_CAP)
     best = int(evidence.argmax())
     rivals = evidence > RIVAL_SHARE * evidence[best]
     apart = np.abs(motions - motions[best])
     other_angle = rivals & (apart[:, 2] > RIVAL_RAD)
-    other_place = rivals & (apart[:, :2].max(1) > RIVAL_M)
-    doubtful = floor and any(_floor_gain(motions[k], sets[k]) > FLOOR_EVIDENCE for k in np.flatnonzero(other_place))
+    other_place = np.flatnonzero(rivals & (apart[:, :2].max(1) > RIVAL_M))
+    doubtful = floor and any(_known(motions[k], sets[k]) != "rotation" for k in other_place)
     return _Choice(motions[best], sets[best], bool(other_angle.any()), doubtful)
+
+
+def _known(motion: Float[np.ndarray, "3"], pairs: Pairs) -> Kind:
+    """What tells the length of a motion."""
+    right = explain(motion[None], pairs).cost[0] < WRONG_COST
+    if (right & pairs.has_depth).sum() >= FEWEST:
+        return "depth"
+    return "floor" if _floor_gain(motion, pairs) > FLOOR_EVIDENCE else "rotation"
 
 
 def measure_motion(
@@ -243,37 +255,47 @@ def measure_motion(
     images = _Images(features_i, features_j, camera, *depths)
     xy = np.asarray(camera.base_from_camera, np.float64)[:2, 3]
     information = np.linalg.inv(wide)
+    cos, sin = np.cos(guess[2]), np.sin(guess[2])
+    turned = np.array([[cos, -sin], [sin, cos]])
 
     def penalty(motion):
         if prior is None:
             return 0.0
         off = base_motion(motion, xy) - guess
-        c, s = np.cos(guess[2]), np.sin(guess[2])
-        off = np.array([c * off[0] + s * off[1], c * off[1] - s * off[0], (off[2] + np.pi) % (2 * np.pi) - np.pi])
+        off = np.append(off[:2] @ turned, (off[2] + np.pi) % (2 * np.pi) - np.pi)
         return off @ information @ off
 
     start = camera_motion(guess[None], xy)
     choice = _choose(images, rows, start, penalty, True)
+    kind: Kind = "rotation"
+    if choice is not None and not choice.place_contested:
+        kind = _known(choice.motion, choice.pairs)
+    measured = kind != "rotation"
+    if not measured:
+        choice = _choose(images, rows, start, penalty, False)
     if choice is None:
         return nothing
-    right = explain(choice.motion[None], choice.pairs).cost[0] < WRONG_COST
-    kind: Kind = "rotation"
-    if (right & ~np.isnan(choice.pairs.rho_j)).sum() >= FEWEST:
-        kind = "depth"
-    elif not choice.place_contested and _floor_gain(choice.motion, choice.pairs) > FLOOR_EVIDENCE:
-        kind = "floor"
-    else:
-        choice = _choose(images, rows, start, penalty, False)
-        if choice is None:
-            return nothing
-    measured = kind != "rotation"
-    weak = np.diag([1e-3, 1e-3, 1e-3] if measured else [4.0, 4.0, 1e-3])
-    motion, covariance, at = polish(choice.motion, choice.pairs, weak, floor=measured)
-    inliers = int((at.cost[0] < WRONG_COST).sum())
-    covariance = INFLATION * _right_tangent(motion, covariance, xy) + np.diag(SHARED_SIGMA) ** 2
+    expected = np.append(guess[:2] + lever(choice.motion[2], xy), choice.motion[2])
+    weak = 1e-3 * np.eye(3)
+    motion = choice.motion
+    if not measured:
+        # How far it went says how much of a sideways shift is turning: what wheels know of x, y steadies theta.
+        weak[:2, :2] = INFLATION[0] * turned @ np.linalg.inv(wide[:2, :2]) @ turned.T
+        motion = _at_length(choice, expected) if prior is not None else motion
+    motion, covariance = polish(motion, choice.pairs, expected, weak, floor=measured)
+    inliers = int((explain(motion[None], choice.pairs, floor=measured).cost[0] < WRONG_COST).sum())
+    covariance = _right_tangent(motion, covariance, xy) * (INFLATION[0] + INFLATION[1] / max(inliers, 1))
+    covariance = covariance + np.diag(SHARED_SIGMA) ** 2
     i_from_j = base_motion(motion, xy)
     if not measured:
-        i_from_j[:2] = _carried(motion, choice.pairs, guess, xy) if prior is not None else 0
+        way = motion[:2] / max(np.linalg.norm(motion[:2]), 1e-9)
+        i_from_j[:2] = 0 if prior is None else np.linalg.norm(expected[:2]) * way - lever(motion[2], xy)
+        # The width is that of three standard deviations.
+        covariance[2, 2] = max(covariance[2, 2], (turn_width(motion, choice.pairs) / 3) ** 2)
         covariance = np.block([[wide[:2, :2], np.zeros((2, 1))], [np.zeros((1, 2)), covariance[2:, 2:]]])
-    ok = inliers >= FEWEST and not choice.angle_contested and covariance[2, 2] < MOST_SIGMA_RAD**2
+    ok = (
+        inliers >= (FEWEST if measured else FEWEST_ROTATION)
+        and not choice.angle_contested
+        and covariance[2, 2] < MOST_SIGMA_RAD**2
+    )
     return MotionMeasurement(i_from_j, covariance, inliers, matches, kind, bool(ok))
