@@ -45,11 +45,12 @@ def bridge(
     speeds = _speeds(steps, first, times, count)
     looked: dict[int, tuple | None] = {}
     rows: list[tuple] = []
+    seen = None if ignored is None else ~ignored
 
     def look(k: int):
         if k not in looked:
             images = load(int(frames[k]))
-            looked[k] = None if images is None else (image_features(images[0], ignored), images[1])
+            looked[k] = None if images is None else (image_features(images[0], seen), images[1])
             for old in [n for n in looked if n < k - 3]:
                 del looked[old]
         return looked[k]

@@ -9,7 +9,9 @@ from ebjax.features.landmarks import Landmarks, remounted_landmarks, take
 from ebjax.features.settle import PairMatches
 from ebjax.features.verify_pairs import settle_blocks, verify_blocks
 from ebjax.geometry.camera import Camera
-from ebjax.geometry.planar import between
+from ebjax.geometry.planar import between, compose, inverse, log
+from ebjax.odometry.chain import LIMIT
+from ebjax.odometry.height import SLIP_M_PER_RAD
 from ebjax.odometry.mount import Tilt, refine_tilt
 from ebjax.odometry.partners import partners
 from ebjax.odometry.steps import MIN_INLIERS, MIN_RATIO, Steps, judged
@@ -21,6 +23,7 @@ STILL_M, STILL_RAD = 0.01, 0.005
 SAME_PICTURE = 0.35
 """Two views of a floor that did not move differ by less than this share of what views differ by a step apart."""
 NOT_THE_FLOOR = "the matches stand still while the robot moves"
+NOT_THE_WHEELS = "the whole image contradicts the wheels"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -110,8 +113,9 @@ def without_body(steps: Steps, wheels: Float[np.ndarray, "N 3"], views: np.ndarr
     """
     still = steps.used & (np.hypot(*steps.i_from_j[:, :2].T) < STILL_M) & (np.abs(steps.i_from_j[:, 2]) < STILL_RAD)
     counted = between(wheels[steps.i], wheels[steps.j])
-    allowed = 4 * (errors.translation * np.hypot(*counted[:, :2].T) + 0.005)
-    rows = np.flatnonzero(still & (np.hypot(*counted[:, :2].T) > np.maximum(allowed, 3 * STILL_M)))
+    moved, turned = np.hypot(*counted[:, :2].T), np.abs(counted[:, 2])
+    far = moved > np.maximum(4 * (errors.translation * moved + 0.005), 3 * STILL_M)
+    rows = np.flatnonzero(still & (far | (turned > np.maximum(4 * errors.turning * turned, 6 * STILL_RAD))))
     if not len(rows):
         return steps
 
@@ -124,3 +128,21 @@ def without_body(steps: Steps, wheels: Float[np.ndarray, "N 3"], views: np.ndarr
         found = change(steps.i[k], steps.j[k])
         wrong[k] = found > SAME_PICTURE * usual or found == 0
     return steps.refuse(wrong, NOT_THE_FLOOR)
+
+
+def without_contradiction(steps: Steps, wheels: Float[np.ndarray, "N 3"], errors: WheelErrors) -> Steps:
+    """Refuses steps of the whole image that contradict the wheels where these count nothing out of the ordinary.
+
+    One witness does not outweigh the other: the floor's steps may, as several of them check each other.
+    """
+    image = steps.used & np.isin(steps.kind, ["image", "rotation"])
+    counted = between(wheels[steps.i], wheels[steps.j])
+    off = log(compose(inverse(steps.i_from_j), counted))
+    spread = errors.step_covariance(wheels)
+    total = np.cumsum(np.concatenate([np.zeros((1, 3, 3)), spread]), 0)
+    wide = steps.covariance + total[steps.i] - total[steps.j]
+    wide[:, [0, 1], [0, 1]] += (SLIP_M_PER_RAD * counted[:, 2, None]) ** 2
+    distance = np.einsum("ka,kab,kb->k", off, np.linalg.inv(wide), off)
+    moved = np.hypot(*np.diff(wheels[:, :2], axis=0).T)
+    ordinary = np.hypot(*counted[:, :2].T) <= (steps.i - steps.j) * (3 * np.quantile(moved, 0.95) + 0.05)
+    return steps.refuse(image & ordinary & (distance > LIMIT), NOT_THE_WHEELS)

@@ -19,7 +19,7 @@ from ebjax.geometry.camera import Camera
 from ebjax.odometry.bridge import bridge
 from ebjax.odometry.chain import Edges
 from ebjax.odometry.clock import TimeOffset
-from ebjax.odometry.floor_steps import FloorPairs, table_of, upright_pairs, without_body
+from ebjax.odometry.floor_steps import FloorPairs, table_of, upright_pairs, without_body, without_contradiction
 from ebjax.odometry.fuse import Jump, fuse
 from ebjax.odometry.height import Reach
 from ebjax.odometry.mount import Tilt, refine_tilt
@@ -186,6 +186,9 @@ def conclude(
             floor, count, keyframes.frames, times, wheels, camera, keyframes.load, config.errors, keyframes.ignored
         )
     steps = joined([floor, bridged])
+    if wheels is not None:
+        steps = without_body(steps, wheels, keyframes.views, config.errors)
+        steps = without_contradiction(steps, wheels, config.errors)
     offset, wrong = TimeOffset(), None
     if wheels is not None and wheels_at is not None:
         if config.estimate_offset:

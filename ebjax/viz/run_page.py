@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
+from ebjax.viz.motion import motion_lines
+
 Figure = dict[str, Any]
 
 
@@ -33,6 +35,9 @@ def run_page(
     if "floor_map" in figures:
         text = "Every floor view laid where the corrected trajectory says it was seen."
         sections.append({"title": "Map of the floor", "figures": [{"png": figures["floor_map"], "caption": text}]})
+    if motion := metrics.get("motion"):
+        text = " ".join(f"{line.capitalize()}." for line in (*motion_lines(metrics), *motion["warnings"]))
+        sections.append({"title": "Steps", "text": text, "table": _motion(motion)})
     if best:
         sections.append({"title": "Loop closures", "figures": best, "table": _closures(closures)})
     if rejected:
@@ -57,7 +62,8 @@ def run_page(
 def _headline(metrics: Mapping[str, Any]) -> str:
     kept = metrics["closures_kept"]
     if not kept:
-        return "No loop closure was found: the trajectory is the odometry."
+        alone = "the odometry" if metrics.get("motion") is None else "what the steps and the odometry say"
+        return f"{str(metrics.get('nothing_kept') or 'No loop closure was found').capitalize()}. The trajectory is {alone}."
     ways = f"{metrics['closures_opposing']} from opposing viewpoints"
     return f"{kept} loop closures were kept, {ways}, of {metrics['candidates']} verified candidates."
 
@@ -77,6 +83,14 @@ def _summary(metrics: Mapping[str, Any]) -> dict[str, Any]:
     rows += [["frames that could not be read", str(len(metrics["broken_frames"]))]]
     rows += [["ms a frame", metrics["ms_per_frame"]], ["peak memory, MB", metrics["peak_memory_mb"]]]
     return {"columns": ["", "value"], "rows": rows}
+
+
+def _motion(motion: Mapping[str, Any]) -> dict[str, Any]:
+    """What measured the steps, and why pairs were refused."""
+    rows = [[name, str(motion[key])] for name, key in (("steps", "steps"), ("measured on the floor", "measured"),
+            ("by the whole image", "bridged"), ("by nothing", "carried"))]  # fmt: skip
+    rows += [[f"refused: {reason}", str(count)] for reason, count in motion["refused"].items()]
+    return {"columns": ["", "number"], "rows": rows}
 
 
 def _closures(rows: list[list[Any]]) -> dict[str, Any]:
