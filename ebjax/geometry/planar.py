@@ -8,7 +8,7 @@ Poses = Float[np.ndarray, "*n 3"]
 
 def wrapped(angle: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
     """The angle in [-pi, pi)."""
-    return (angle + np.pi) % (2 * np.pi) - np.pi
+    return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)
 
 
 def compose(a_from_b: Poses, b_from_c: Poses) -> Poses:
