@@ -12,6 +12,9 @@ REACH_S, GRID_S = 1.0, 0.02
 MAX_SIGMA_S = 0.03
 SIGNIFICANT = 3.0
 """An offset within so many standard deviations of zero stays zero."""
+LEAST_GAIN = 0.5
+"""Where the wheels seem to count turns with a smaller gain, they do not count the same turns."""
+TOO_LITTLE = "turns too little or too evenly to tell: stays 0"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,6 +43,8 @@ def estimate_offset(
     grid = np.arange(-REACH_S, REACH_S + GRID_S / 2, GRID_S)
     costs = np.array([_cost(turned, sigma, heading_at(float(o))) for o in grid])
     best = int(np.argmin(costs[:, 0]))
+    if np.ptp(costs[:, 0]) < SIGNIFICANT**2:
+        return TimeOffset(why=TOO_LITTLE)
     if best in (0, len(grid) - 1):
         return TimeOffset(why=f"no offset within {REACH_S:g} s fits")
     step = GRID_S / 2
@@ -51,17 +56,19 @@ def estimate_offset(
     # The curvature over the grid's width, not over a step of it: between samples of the odometry costs have kinks.
     wide = 5 * GRID_S
     before, here, after = (_cost(turned, sigma, heading_at(offset + d)) for d in (-wide, 0.0, wide))
+    if here[2] < LEAST_GAIN:
+        return TimeOffset(why=f"no offset within {REACH_S:g} s fits")
     bend = (before[0] - 2 * here[0] + after[0]) / wide**2
     deviation = float(np.sqrt(2 * here[1] / bend)) if bend > 0 else float("inf")
     if deviation > MAX_SIGMA_S:
-        return TimeOffset(0.0, deviation, "turns too little or too evenly to tell: stays 0")
+        return TimeOffset(0.0, deviation, TOO_LITTLE)
     if abs(offset) < max(SIGNIFICANT * deviation, GRID_S):
         return TimeOffset(0.0, deviation, "images and odometry agree")
     return TimeOffset(offset, deviation, "the turning rates of images and odometry fit then")
 
 
-def _cost(turned, sigma, headings) -> tuple[float, float]:
-    """Robust cost with gain and bias free, and the variance factor of what is left."""
+def _cost(turned, sigma, headings) -> tuple[float, float, float]:
+    """Robust cost with gain and bias free, the variance factor of what is left, and the gain."""
     counted = wrapped(headings[:, 1] - headings[:, 0])
     known = np.isfinite(counted)
     design = np.stack([np.where(known, counted, 0.0), np.ones(len(turned))], 1)
@@ -75,4 +82,4 @@ def _cost(turned, sigma, headings) -> tuple[float, float]:
         answer = np.linalg.solve(system, (design * robust[:, None]).T @ turned + prior @ [1.0, 0.0])
     residual = np.where(known, (turned - design @ answer) / sigma, 0.0)
     cost = float(np.sum(9 * np.log1p(residual**2 / 9)) / max(known.mean(), 1e-3))
-    return cost, max(float(np.median(np.abs(residual)) / 0.6745) ** 2, 0.01)
+    return cost, max(float(np.median(np.abs(residual)) / 0.6745) ** 2, 0.01), float(answer[0])

@@ -71,7 +71,7 @@ def x_from_turns(
 ) -> tuple[float, float]:
     """What is to be added to x, m, and its standard deviation.
 
-    Where base is thought to be e behind of where it is, a step that turns by R moves by (R - I) e more than the wheels.
+    A camera that stands e ahead of where it is thought to sees a step that turns by R move by (R - I) e more.
 
     Args:
       measured: steps earlier_from_later, by the camera.
@@ -80,7 +80,7 @@ def x_from_turns(
     """
     c, s = np.cos(counted[:, 2]), np.sin(counted[:, 2])
     sigmas = np.hypot(sigmas, SLIP_M_PER_RAD * np.abs(counted[:, 2:]))
-    design = np.stack([1 - c, -s], 1)
+    design = np.stack([c - 1, s], 1)
     difference = measured[:, :2] - counted[:, :2]
     answer, information = 0.0, PRIOR_M**-2.0
     for _ in range(10):

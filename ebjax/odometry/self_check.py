@@ -50,6 +50,13 @@ def height_off(landmarks: Landmarks, camera: Camera) -> float:
     return float(abs(np.median(z)) / np.asarray(camera.base_from_camera)[2, 3]) if z.size else 0.0
 
 
+def measured_scale(wrong: Systematic, errors: WheelErrors) -> tuple[float, float]:
+    """The floor's metres per metre of the wheels without what was expected of it, and its standard deviation."""
+    expected, both = errors.scale_sigma**-2, wrong.sigma[0] ** -2
+    own = max(both - expected, 1e-3 * expected)
+    return 1 + (wrong.scale - 1) * both / own, own**-0.5
+
+
 def reach_of(
     steps: Steps,
     landmarks: Landmarks,
@@ -65,7 +72,7 @@ def reach_of(
     if z.size:
         found = height_from_depth(height, z)
     elif wrong is not None and wrong.steps:
-        found = height_from_wheels(height, wrong.scale, wrong.sigma[0], errors.scale_sigma)
+        found = height_from_wheels(height, *measured_scale(wrong, errors), errors.scale_sigma)
     if wheels is not None and wrong is not None:
         rows = steps.consecutive()
         rows = rows[steps.kind[rows] != "rotation"]

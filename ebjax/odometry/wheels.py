@@ -88,12 +88,12 @@ def systematic(
         return Systematic()
     moved = np.linalg.norm(counted[:, :2], axis=1)
     driven = np.sum(measured[:, :2] * counted[:, :2], 1) / np.maximum(moved, 1e-9)
-    noise = np.sqrt(covariance[:, 0, 0] + sigmas[:, 0] ** 2)
+    noise = np.stack([covariance[:, 0, 0], sigmas[:, 0] ** 2])
     on = moved > AT_REST_M
-    scale, scale_sigma = _fit(moved[on, None], driven[on], noise[on], np.ones(1), np.array([errors.scale_sigma]))
+    scale, scale_sigma = _fit(moved[on, None], driven[on], noise[:, on], np.ones(1), np.array([errors.scale_sigma]))
     rest = ~on & (np.abs(measured[:, 2]) < AT_REST_RAD) & (np.abs(counted[:, 2]) < AT_REST_RAD)
     design = np.stack([counted[:, 2], np.where(rest, 0, counted[:, 0]), np.where(rest, seconds, 0)], 1)
-    noise = np.sqrt(covariance[:, 2, 2] + sigmas[:, 2] ** 2)
+    noise = np.stack([covariance[:, 2, 2], sigmas[:, 2] ** 2])
     expected = np.array([errors.gain_sigma, np.radians(BEND_SIGMA_DEG), np.radians(errors.rest_deg_per_s)])
     turn, turn_sigma = _fit(design, measured[:, 2], noise, np.array([1.0, 0.0, 0.0]), expected)
     bend, drift = (float(np.degrees(value)) for value in turn[1:])
@@ -104,18 +104,22 @@ def systematic(
 def _fit(
     design: Float[np.ndarray, "K d"],
     target: Float[np.ndarray, " K"],
-    noise: Float[np.ndarray, " K"],
+    noise: Float[np.ndarray, "2 K"],
     mean: Float[np.ndarray, " d"],
     sigma: Float[np.ndarray, " d"],
 ) -> tuple[Float[np.ndarray, " d"], Float[np.ndarray, " d"]]:
-    """Cauchy-reweighted least squares with a prior; the noise is scaled down where residuals are smaller."""
+    """Cauchy-reweighted least squares with a prior.
+
+    The noise is a variance of the target and one of the design; the second is scaled down where residuals are smaller.
+    """
     answer, information = mean.copy(), np.diag(sigma**-2.0)
     spread = 1.0
-    for _ in range(20):
-        residual = (target - design @ answer) / noise
+    for _ in range(30):
+        residual = (target - design @ answer) / np.sqrt(noise[0] + spread**2 * noise[1])
         if len(residual):
-            spread = float(np.clip(np.median(np.abs(residual)) / 0.6745, 0.02, 1.0))
-        weight = 1 / ((1 + (residual / (2.5 * spread)) ** 2) * (noise * spread) ** 2)
+            spread = float(np.clip(spread * np.median(np.abs(residual)) / 0.6745, 0.02, 1.0))
+        variance = noise[0] + spread**2 * noise[1]
+        weight = 1 / (variance + ((target - design @ answer) / 2.5) ** 2)
         information = np.diag(sigma**-2.0) + (design * weight[:, None]).T @ design
         answer = np.linalg.solve(information, (design * weight[:, None]).T @ target + mean / sigma**2)
     return answer, np.sqrt(np.diag(np.linalg.inv(information)))
