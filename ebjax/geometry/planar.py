@@ -62,3 +62,14 @@ def log(pose: Poses) -> Poses:
     c = np.where(np.abs(half) < 1e-4, 1 - half**2 / 3, half / np.tan(np.where(half == 0, 1.0, half)))
     x, y = pose[..., 0], pose[..., 1]
     return np.stack([c * x + half * y, c * y - half * x, theta], -1)
+
+
+def log_jacobian(tangent: Poses) -> Float[np.ndarray, "*n 3 3"]:
+    """The derivative of log(exp(tangent) exp(d)) at d = 0: I + ad / 2 + K ad^2."""
+    x, y, theta = tangent[..., 0], tangent[..., 1], tangent[..., 2]
+    half, small = theta / 2, np.abs(theta) < 1e-2
+    c = np.where(small, 1 - half**2 / 3 - half**4 / 45, half / np.tan(np.where(small, 1.0, half)))
+    k = np.where(small, 1 / 12 + theta**2 / 720, (1 - c) / np.where(small, 1.0, theta**2))
+    zero, one = np.zeros_like(theta), np.ones_like(theta)
+    rows = [[c, -half, y / 2 + k * theta * x], [half, c, k * theta * y - x / 2], [zero, zero, one]]
+    return np.stack([np.stack(row, -1) for row in rows], -2)

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.linalg import solveh_banded
 
-from ebjax.geometry.planar import adjoint, between, compose, inverse, log
+from ebjax.geometry.planar import adjoint, between, compose, inverse, log, log_jacobian
 
 LIMIT = 16.27
 """The 99.9 % point of chi-square with three degrees of freedom."""
@@ -49,10 +49,11 @@ def relax(
     for _ in range(rounds):
         r = residuals(edges, poses)
         information = edges.information * weights[:, None, None]
-        # To first order: the residual moves by d_j - Ad(j_from_i) d_i.
-        ad = adjoint(between(poses[edges.j], poses[edges.i]))
-        by_i = -np.swapaxes(ad, 1, 2) @ information
-        blocks = ((edges.i, edges.i, -by_i @ ad), (edges.j, edges.j, information), (edges.i, edges.j, by_i))
+        # The residual moves by J (d_j - Ad(j_from_i) d_i).
+        to_j = log_jacobian(r)
+        to_i = -to_j @ adjoint(between(poses[edges.j], poses[edges.i]))
+        by_i, by_j = (np.swapaxes(jacobian, 1, 2) @ information for jacobian in (to_i, to_j))
+        blocks = ((edges.i, edges.i, by_i @ to_i), (edges.j, edges.j, by_j @ to_j), (edges.i, edges.j, by_i @ to_j))
         upper = np.zeros((band + 1, 3 * count))
         for a, b, block in blocks:
             swap = a > b
@@ -65,7 +66,7 @@ def relax(
                     np.add.at(upper, ((band + row - column)[keep], column[keep]), block[keep, m, n])
         gradient = np.zeros((count, 3))
         np.add.at(gradient, edges.i, np.einsum("eab,eb->ea", by_i, r))
-        np.add.at(gradient, edges.j, np.einsum("eab,eb->ea", information, r))
+        np.add.at(gradient, edges.j, np.einsum("eab,eb->ea", by_j, r))
         upper[-1, :3] += 1e12
         upper[-1] += 1e-9
         delta = -solveh_banded(upper, gradient.ravel(), check_finite=False).reshape(-1, 3)

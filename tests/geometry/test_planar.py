@@ -73,6 +73,17 @@ def test_adjoint_moves_a_tangent_through_the_pose():
     same(planar.compose(pose, np.asarray(se2.exp(jnp.asarray(tangent)))), left, atol=1e-10)
 
 
+def test_log_jacobian_is_the_derivative_of_the_log():
+    tangent = poses(12, [0.0, 1e-9, -1e-4, 0.0099, -0.0101, 0.3, -1.5, 3.0, -3.14])
+    found = planar.log_jacobian(tangent)
+    np.testing.assert_allclose(found, se2.log_jacobian(jnp.asarray(tangent)), rtol=1e-10, atol=1e-10)
+    start, step = np.asarray(se2.exp(jnp.asarray(tangent))), 1e-6
+    for k, e in enumerate(np.tile(np.eye(3)[:, None], (1, len(tangent), 1))):
+        above, below = (planar.log(planar.compose(start, sign * step * e)) for sign in (1, -1))
+        good = np.abs(tangent[:, 2]) < 3.1
+        np.testing.assert_allclose(found[good, :, k], ((above - below) / (2 * step))[good], atol=1e-8)
+
+
 def test_chained_is_one_composition_after_the_other():
     steps = np.random.default_rng(6).normal(scale=[1.0, 0.3, 1.5], size=(40, 3))
     path = [np.zeros(3)]
@@ -120,4 +131,5 @@ def test_any_leading_axes(shape):
     a, b = random.normal(size=(2, *shape, 3))
     for found in (planar.compose(a, b), planar.inverse(a), planar.between(a, b), planar.log(a)):
         assert found.shape == (*shape, 3)
+    assert planar.log_jacobian(a).shape == (*shape, 3, 3)
     assert planar.adjoint(a).shape == planar.inverse_covariance(a, np.zeros((*shape, 3, 3))).shape == (*shape, 3, 3)
