@@ -81,7 +81,7 @@ def closure_summary(errors: Float[np.ndarray, "K 2"], kept: Bool[np.ndarray, " K
 
 
 def drift(truth: Float[np.ndarray, "N 3"], path: Float[np.ndarray, "N 3"], stretch_m: float = 10.0) -> dict[str, Any]:
-    """Drift of a path before any closure: median error over stretches of path, as a share of it and per metre.
+    """Drift of a path before any closure: rms error over stretches of path, as a share of it and per metre.
 
     Args:
       truth: x, y, heading; NaN rows are left out.

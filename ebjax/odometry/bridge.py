@@ -26,7 +26,7 @@ def bridge(
     errors: WheelErrors,
     ignored: Bool[np.ndarray, "H W"] | None = None,
 ) -> Steps:
-    """Measures the steps between successive keyframes that `steps` lacks; where that fails, over the next one.
+    """Measures the steps between successive keyframes that `steps` lacks; without wheels, else over the next one.
 
     Args:
       steps: what the floor measured.
@@ -75,7 +75,7 @@ def bridge(
         return found.ok
 
     for k in np.flatnonzero(~known[1:]) + 1:
-        if not measure(int(k), int(k) - 1):
+        if not measure(int(k), int(k) - 1) and wheels is None:
             for i, j in ((k, k - 2), (k + 1, k - 1)):
                 if j >= 0 and i < count:
                     measure(int(i), int(j))

@@ -22,7 +22,7 @@ from ebjax.odometry.clock import TimeOffset
 from ebjax.odometry.floor_steps import FloorPairs, table_of, upright_pairs, without_body, without_contradiction
 from ebjax.odometry.fuse import Jump, fuse
 from ebjax.odometry.height import Reach
-from ebjax.odometry.mount import Tilt, refine_tilt
+from ebjax.odometry.mount import FEWEST, Tilt, refine_tilt
 from ebjax.odometry.self_check import height_off, mount_warnings, moved_camera, offset_of, reach_of, systematic_of
 from ebjax.odometry.steps import Steps, joined
 from ebjax.odometry.wheels import Systematic, WheelErrors
@@ -153,7 +153,7 @@ def motion_with_closures(
     config: MotionConfig,
 ) -> Motion:
     """The motion under the tilt that steps and closures together tell; views from opposite sides tell it best."""
-    if config.refine == "none" or not believed.any():
+    if config.refine == "none" or not believed.any() or motion.pairs.believed.sum() < FEWEST:
         return motion
     both = jax.tree.map(lambda a, b: np.concatenate([a, b]), motion.pairs.matches, closures)
     used = np.concatenate([motion.pairs.believed, believed])
@@ -211,7 +211,7 @@ def conclude(
         jumps=tuple(dataclasses.replace(jump, frame=int(keyframes.frames[jump.frame])) for jump in settled.jumps),
         carried=settled.carried,
         trust_depth=trust_depth,
-        warnings=mount_warnings(wrong, trust_depth, landmarks, camera),
+        warnings=mount_warnings(wrong, trust_depth, landmarks, camera, config.errors),
         pairs=pairs,
         bridged=bridged,
     )

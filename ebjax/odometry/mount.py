@@ -23,6 +23,9 @@ SHARED = 3.0
 """Pairs see the same corners again, and lens and corners err alike: standard deviations are so many times wider."""
 SIGNIFICANT = 13.8
 """The 99.9 % point of chi-square with two degrees of freedom: below it the mount stays as it is."""
+MOST_DEG, MOST_SIGMA_DEG = 5.0, 0.3
+"""A tilt beyond is no mount's error but a floor that shows nothing; so is one that is less certain."""
+FEWEST = 20
 MATCHES = 64
 PAIRS = 256
 ROUNDS = 5
@@ -58,7 +61,7 @@ def _looked(tilt: Float[Array, "2"], pixels: Float[Array, "P M 2"], camera: Came
 
 
 @jax.jit
-def _solve(matches: PairMatches, use: Float[Array, " P"], camera: Camera, tolerance_m: float):
+def _solve(matches: PairMatches, use: Float[Array, " P"], camera: Camera, tolerance_m: float | Float[Array, ""]):
     axes = jnp.eye(2)
 
     def whitened(tilt, motions):
@@ -116,7 +119,7 @@ def refine_tilt(
       certain: whether the mount stays as it is unless it is contradicted significantly.
     """
     rows = np.flatnonzero(used)
-    if len(rows) < 8:
+    if len(rows) < FEWEST:
         return camera, Tilt(pairs=len(rows))
     if len(rows) > PAIRS:
         rows = rows[np.linspace(0, len(rows) - 1, PAIRS).round().astype(int)]
@@ -129,6 +132,9 @@ def refine_tilt(
     covariance = covariance * SHARED**2
     sigma = np.degrees(np.sqrt(np.diag(covariance)))
     found = np.degrees(tilt)
-    off = bool(np.isfinite(tilt).all() and tilt @ np.linalg.solve(covariance, tilt) > SIGNIFICANT * certain)
+    sound = np.isfinite(tilt).all() and np.abs(found).max() < MOST_DEG and sigma.max() < MOST_SIGMA_DEG
+    if not sound:
+        return camera, Tilt(pairs=len(rows))
+    off = bool(tilt @ np.linalg.solve(covariance, tilt) > SIGNIFICANT * certain)
     report = Tilt(float(found[0]), float(found[1]), float(sigma[0]), float(sigma[1]), len(rows), off)
     return (tilted(camera, jnp.asarray(tilt)) if off else camera), report

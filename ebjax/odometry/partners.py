@@ -8,8 +8,6 @@ from ebjax.views.run_view import RunView
 
 SHARED = (0.75, 0.55)
 """The farthest keyframes that still share so much of the floor view are measured too."""
-LEAST = 0.1
-"""Views with less in common are not compared."""
 REACH = 12
 """So many keyframes back at most."""
 GRID = 12
@@ -51,12 +49,12 @@ def partners(view: RunView, poses: Float[np.ndarray, "N 3"]) -> tuple[Int[np.nda
     for gap in range(1, min(REACH, count - 1) + 1):
         shares[gap:, gap] = common_floor(view, between(poses[gap:], poses[:-gap]))
     for k in range(1, count):
-        chosen = {1} if shares[k, 1] >= LEAST else set()
+        chosen = {1}
         for wanted in SHARED:
             good = np.flatnonzero(shares[k] >= wanted)
             if len(good):
                 chosen.add(int(good[-1]))
-        for gap in sorted(chosen - {0}):
+        for gap in sorted(chosen):
             later.append(k)
             earlier.append(k - gap)
     return np.array(later, int), np.array(earlier, int)

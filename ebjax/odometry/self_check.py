@@ -94,15 +94,16 @@ def moved_camera(camera: Camera, reach: Reach) -> Camera:
 
 
 def mount_warnings(
-    wrong: Systematic | None, trust_depth: bool, landmarks: Landmarks, camera: Camera
+    wrong: Systematic | None, trust_depth: bool, landmarks: Landmarks, camera: Camera, errors: WheelErrors
 ) -> tuple[str, ...]:
     """What the user should correct of the mount, a line each."""
     height = float(np.asarray(camera.base_from_camera)[2, 3])
     said = []
-    if wrong is not None and abs(wrong.scale - 1) > max(ALARM, 3 * wrong.sigma[0]):
+    scale, sigma = (1.0, 0.0) if wrong is None or not wrong.steps else measured_scale(wrong, errors)
+    if abs(scale - 1) > max(ALARM, 3 * sigma):
         said.append(
-            f"the floor moves {wrong.scale:.3f} m for every metre of the wheels: the camera's height of {height:.3f} m "
-            f"in T_base_camera is about {100 * (wrong.scale - 1):+.0f} % off, or the wheels' scale is; measure the "
+            f"the floor moves {scale:.3f} m for every metre of the wheels: the camera's height of {height:.3f} m "
+            f"in T_base_camera is about {100 * (scale - 1):+.0f} % off, or the wheels' scale is; measure the "
             "height of the lens above the floor"
         )
     if trust_depth and (off := height_off(landmarks, camera)) > ALARM:

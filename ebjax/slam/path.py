@@ -12,6 +12,10 @@ from ebjax.odometry.wheels import WheelErrors
 from ebjax.posegraph.graph import PoseGraph, make_graph
 from ebjax.slam.select import Measured
 
+SYSTEMATIC = 4.0
+"""What steps share (a corner's bias, the rest of the tilt) adds up straight, not as a random walk: what a closure may
+contradict is so many times the variance that independent steps would have."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Path:
@@ -20,7 +24,7 @@ class Path:
     Attributes:
       frames: frame number of every node.
       poses: x, y (m), heading (rad), before any closure.
-      covariance: of each of the N - 1 steps, right tangent.
+      covariance: of each of the N - 1 steps, right tangent, as closures are compared with it.
       edges: the chain, one edge a step in order, then any others.
       row: of every frame, the node it hangs on.
       row_from_frame: its pose there.
@@ -96,4 +100,4 @@ def path_of_motion(motion: Motion, way: Float[np.ndarray, "F 3"]) -> Path:
     settled[:-1] = log(compose(inverse(there), between(motion.poses[:-1], motion.poses[1:])))
     relative = compose(relative, share[:, None] * settled[row])
     edges = Edges(*(np.concatenate([a, b]) for a, b in zip(motion.chain, motion.further, strict=True)))
-    return Path(frames, motion.poses, motion.covariance, edges, row, relative, share)
+    return Path(frames, motion.poses, SYSTEMATIC * motion.covariance, edges, row, relative, share)

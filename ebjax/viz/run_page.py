@@ -36,7 +36,7 @@ def run_page(
         text = "Every floor view laid where the corrected trajectory says it was seen."
         sections.append({"title": "Map of the floor", "figures": [{"png": figures["floor_map"], "caption": text}]})
     if motion := metrics.get("motion"):
-        text = " ".join(f"{line.capitalize()}." for line in (*motion_lines(metrics), *motion["warnings"]))
+        text = " ".join(map(_sentence, (*motion_lines(metrics), *motion["warnings"])))
         sections.append({"title": "Steps", "text": text, "table": _motion(motion)})
     if best:
         sections.append({"title": "Loop closures", "figures": best, "table": _closures(closures)})
@@ -63,7 +63,8 @@ def _headline(metrics: Mapping[str, Any]) -> str:
     kept = metrics["closures_kept"]
     if not kept:
         alone = "the odometry" if metrics.get("motion") is None else "what the steps and the odometry say"
-        return f"{str(metrics.get('nothing_kept') or 'No loop closure was found').capitalize()}. The trajectory is {alone}."
+        why = metrics.get("nothing_kept") or "no loop closure was found"
+        return f"{_sentence(why)} The trajectory is {alone}."
     ways = f"{metrics['closures_opposing']} from opposing viewpoints"
     return f"{kept} loop closures were kept, {ways}, of {metrics['candidates']} verified candidates."
 
@@ -83,6 +84,10 @@ def _summary(metrics: Mapping[str, Any]) -> dict[str, Any]:
     rows += [["frames that could not be read", str(len(metrics["broken_frames"]))]]
     rows += [["ms a frame", metrics["ms_per_frame"]], ["peak memory, MB", metrics["peak_memory_mb"]]]
     return {"columns": ["", "value"], "rows": rows}
+
+
+def _sentence(line: str) -> str:
+    return f"{line[:1].upper()}{line[1:]}."
 
 
 def _motion(motion: Mapping[str, Any]) -> dict[str, Any]:
