@@ -25,7 +25,7 @@ def common_floor(view: RunView, a_from_b: Float[np.ndarray, "N 3"]) -> Float[np.
     x = a_from_b[:, 0, None] + c * points[:, 0] - s * points[:, 1]
     y = a_from_b[:, 1, None] + s * points[:, 0] + c * points[:, 1]
     u, v = np.moveaxis(_apply(np.linalg.inv(floor_from_view), np.stack([x, y], -1)), -1, 0)
-    inside = (u >= 0) & (u <= width - 1) & (v >= 0) & (v <= height - 1)
+    inside = (u > -0.5) & (u < width - 0.5) & (v > -0.5) & (v < height - 0.5)
     column, row = (np.clip(np.rint(np.where(inside, a, 0)).astype(int), 0, n - 1) for a, n in ((u, width), (v, height)))
     return (inside & seen[row, column]).mean(1)
 
