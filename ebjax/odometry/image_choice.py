@@ -16,7 +16,7 @@ from ebjax.odometry.image_guided import guided_matches
 from ebjax.odometry.image_matches import ImageFeatures
 from ebjax.odometry.planar_motion import Pairs, make_pairs
 from ebjax.odometry.planar_motion_cost import WRONG_COST, explain, score
-from ebjax.odometry.planar_motion_fit import Fit, refine, search
+from ebjax.odometry.planar_motion_fit import SUBSET, Fit, refine, search
 
 SIGMA_PX = 0.6
 LARGE_PX = 10.0
@@ -141,7 +141,8 @@ def known_by(motion: Float[np.ndarray, "3"], pairs: Pairs) -> Kind:
     if rows.sum() < FEWEST_FLOOR or np.linalg.eigvalsh(np.cov(points.T))[0] < NARROW_M**2:
         return "rotation"
     # Where a floor repeats, an epipolar line explains both of its motions: only the matches of this one are asked.
-    gain = refine(motion[None], pairs.take(right), 4, floor=False).scores[0] - score(at.cost[:, right])[0]
+    asked = np.flatnonzero(right)[:SUBSET]
+    gain = refine(motion[None], pairs.take(asked), 2, floor=False).scores[0] - score(at.cost[:, asked])[0]
     return "floor" if gain > FLOOR_EVIDENCE else "rotation"
 
 

@@ -31,15 +31,15 @@ class Explained:
 
     Attributes:
       residuals: x, y and measured inverse depth, each over its standard deviation.
-      spread: the standard deviation of x and y, px.
+      spread: the standard deviation of x and y, px; with `like`, that of its motions, as `floor`.
       cost: -2 log likelihood of a right match.
       floor: where the match is taken for a point of the floor.
     """
 
     residuals: Float[np.ndarray, "3 *h N"]
-    spread: Float[np.ndarray, "*h N"]
+    spread: Float[np.ndarray, "*g N"]
     cost: Float[np.ndarray, "*h N"]
-    floor: Bool[np.ndarray, "*h N"]
+    floor: Bool[np.ndarray, "*g N"]
 
 
 def segments(motions: Float[np.ndarray, "*h 3"], pairs: Pairs) -> tuple[np.ndarray, ...]:
@@ -120,7 +120,7 @@ def explain(
     pixel = np.stack([np.where(exact, exact_x, wall_x), np.where(exact, exact_y, wall_y)]) / spread
     residuals = np.concatenate([pixel, np.where(exact, third, 0)[None]])
     cost = np.where(behind, 1e6, np.where(exact, exact_cost, wall_cost))
-    return Explained(residuals, spread, cost, np.broadcast_to(is_floor, cost.shape))
+    return Explained(residuals, spread, cost, is_floor)
 
 
 def quick_score(motions: Float[np.ndarray, "H 3"], pairs: Pairs) -> Float[np.ndarray, " H"]:

@@ -17,7 +17,7 @@ RIDGE = np.array([25.0, 25.0, 100.0])
 """Information that keeps what no match tells: 0.2 m, 0.1 rad."""
 FREEDOM = 3.0
 """Degrees of freedom of Student's distribution: most corners lie far better than the worst."""
-POLISH = 5
+POLISH = 4
 SETS = 125
 SUBSET = 100
 """The search looks at so many of the best matches; the last refinement at all of them."""
@@ -84,7 +84,7 @@ def refine(
         new = score(at.cost)
         better = new < best_score
         best, best_score = np.where(better[:, None], motions, best), np.where(better, new, best_score)
-    return Fit(best, best_score, explain(best, pairs, floor=floor))
+    return Fit(best, best_score, at if np.array_equal(best, motions) else explain(best, pairs, floor=floor))
 
 
 def distinct(
@@ -124,7 +124,7 @@ def search(pairs: Pairs, start: Float[np.ndarray, "K 3"], *, floor: bool = True,
             more.append(floor_votes(motion[2], some, 8))
         motions = np.concatenate(more)
         fit = refine(motions[distinct(motions, score(explain(motions, some).cost), 6, (0.02, 0.02, 0.01))], some, 3)
-    fit = refine(fit.motions[distinct(fit.motions, fit.scores, 3)], pairs, 3, floor=floor)
+    fit = refine(fit.motions[distinct(fit.motions, fit.scores, 3)], pairs, 2, floor=floor)
     return fit.sorted()
 
 
@@ -151,6 +151,8 @@ def polish(
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
     """The last refinement: Student's weights, the noise of the corners estimated with the motion (Lange et al. 1989).
 
+    Without a floor no match tells the length of b, which is held.
+
     Args:
       motion: (bx, by, theta), nearly right.
       pairs: all matches.
@@ -161,6 +163,10 @@ def polish(
     Returns:
       The motion, and its covariance by the noise of its own residuals.
     """
+    if not floor:
+        way = motion * [1, 1, 0] / max(np.linalg.norm(motion[:2]), 1e-9)
+        prior = prior + way * (way @ (motion - prior))
+        information = information + 1e6 * np.outer(way, way)
     motions, variance = motion[None], 1.0
     at = explain(motions, pairs, floor=floor)
     keep = at.cost < WRONG_COST

@@ -22,10 +22,12 @@ from ebjax.odometry.planar_motion_fit import polish, refine, turn_width
 __all__ = ["ImageFeatures", "MotionMeasurement", "image_features", "measure_motion"]
 
 FEWEST_ROTATION = 20
+WEAK = 1e-3
+"""Information that keeps what no match tells from running away, 1 / m^2 and 1 / rad^2."""
 MOST_SIGMA_RAD = 0.01
-INFLATION = (1.5, 50.0)
-"""The covariance times 1.5 + 50 / inliers: neighbours share their errors, and among few one wrong match tells."""
-SHARED_SIGMA = (0.0005, 0.0005, 0.0001)
+INFLATION = (1.2, 50.0)
+"""The covariance times 1.2 + 50 / inliers: neighbours share their errors, and among few one wrong match tells."""
+SHARED_SIGMA = (0.0003, 0.0003, 0.00007)
 """Standard deviation that all matches share: x m, y m, heading rad."""
 
 
@@ -137,12 +139,13 @@ def measure_motion(
     if choice is None:
         return nothing
     expected = np.append(guess[:2] + lever(choice.motion[2], xy), choice.motion[2])
-    motion, weak = choice.motion, 1e-3 * np.eye(3)
-    if not by_floor:
+    motion, weak = choice.motion, WEAK * np.eye(3)
+    if not by_floor and prior is not None:
         # How far it went says how much of a sideways shift is turning: what wheels know of x, y steadies theta.
-        weak[:2, :2] = INFLATION[0] * turned @ np.linalg.inv(wide[:2, :2]) @ turned.T
-        motion = _at_length(choice, expected) if prior is not None else motion
-    motion, covariance = polish(motion, choice.pairs, expected, weak, floor=by_floor)
+        weak[:2, :2] += INFLATION[0] * turned @ np.linalg.inv(wide[:2, :2]) @ turned.T
+        motion = _at_length(choice, expected)
+    near = motion if prior is None else expected
+    motion, covariance = polish(motion, choice.pairs, near, weak, floor=by_floor)
     inliers = int((explain(motion[None], choice.pairs, floor=by_floor).cost[0] < WRONG_COST).sum())
     covariance = _right_tangent(motion, covariance, xy) * (INFLATION[0] + INFLATION[1] / max(inliers, 1))
     covariance = covariance + np.diag(SHARED_SIGMA) ** 2
