@@ -15,7 +15,7 @@ from ebjax.geometry.camera import Camera
 from ebjax.odometry.image_guided import guided_matches
 from ebjax.odometry.image_matches import ImageFeatures
 from ebjax.odometry.planar_motion import Pairs, make_pairs
-from ebjax.odometry.planar_motion_cost import WRONG_COST, explain, score
+from ebjax.odometry.planar_motion_cost import WRONG_COST, disparity, explain, score
 from ebjax.odometry.planar_motion_fit import SUBSET, Fit, refine, search
 
 SIGMA_PX = 0.6
@@ -26,7 +26,7 @@ FEWEST_FLOOR = 8
 EVIDENCE = 140.0
 """By how much a motion must explain the matches better than chance: wrong ones reach 120 in aliased images."""
 FLOOR_EVIDENCE = 50.0
-"""By how much the floor must improve the score: a scale found among hundreds by chance does by 2 log of that, 12."""
+"""By how much the floor must explain its corners better than lines do: a scale found by chance does so by 12."""
 NARROW_M = 0.02
 """Points of the floor must spread this far (standard deviation) across their line: a skirting board is no floor."""
 GUIDE_BELOW = 80
@@ -41,6 +41,7 @@ SECOND_SHARE = 0.25
 PRIOR_GATE = 30.0
 """Squared Mahalanobis distance within which a motion agrees with the prior; the others count if none does."""
 STILL_M, STILL_RAD, STILL_PX = 0.01, 0.004, 2.0
+PARALLAX_EVIDENCE = 10.0
 CELLS = 8
 
 Kind = Literal["depth", "floor", "rotation"]
@@ -89,12 +90,16 @@ def _evidence(fit: Fit) -> Float[np.ndarray, " C"]:
     return np.maximum(WRONG_COST - fit.explained.cost, 0).sum(1)
 
 
+def _stands(motion: Float[np.ndarray, "3"]) -> bool:
+    """Whether the camera did not move."""
+    return bool(np.abs(motion[:2]).max() < STILL_M and abs(motion[2]) < STILL_RAD)
+
+
 def _find(images: Images, pairs: Pairs, start: Float[np.ndarray, "K 3"], floor: bool) -> Fit:
     """The best motions; those of the moving matches alone where the others are the robot's own body."""
     fit = search(pairs, start, floor=floor)
     still = np.linalg.norm(pairs.pixels_i - pairs.pixels_j, axis=1) < STILL_PX * images.one.unit_px
-    bx, by, theta = np.abs(fit.motions[0])
-    if max(bx, by) < STILL_M and theta < STILL_RAD and (~still).sum() >= FEWEST:
+    if _stands(fit.motions[0]) and (~still).sum() >= FEWEST:
         moving = pairs.take(~still)
         other = search(moving, start, floor=floor)
         seen = moving.take(other.explained.cost[0] < WRONG_COST)
@@ -109,6 +114,8 @@ def _second(pairs: Pairs, fit: Fit, start: Float[np.ndarray, "K 3"]) -> Float[np
     if len(rest) < max(FEWEST, SECOND_SHARE * len(pairs)):
         return np.zeros((0, 3))
     other = search(rest, start)
+    if _stands(other.motions[0]):
+        return np.zeros((0, 3))
     right = other.explained.cost[0] < WRONG_COST
     known = other.explained.floor[0] | rest.has_depth
     mostly = (right & known).sum() > right.sum() / 2
@@ -140,9 +147,19 @@ def known_by(motion: Float[np.ndarray, "3"], pairs: Pairs) -> Kind:
     points = pairs.rays_j[rows, :2] / pairs.rho_floor[rows, None]
     if rows.sum() < FEWEST_FLOOR or np.linalg.eigvalsh(np.cov(points.T))[0] < NARROW_M**2:
         return "rotation"
-    # Where a floor repeats, an epipolar line explains both of its motions: only the matches of this one are asked.
-    asked = np.flatnonzero(right)[:SUBSET]
-    gain = refine(motion[None], pairs.take(asked), 2, floor=False).scores[0] - score(at.cost[:, asked])[0]
+    # A camera that did not move at all moved by nothing, whatever it sees.
+    if np.abs(motion[:2]).max() < STILL_M:
+        alone = explain(motion[None] * [0, 0, 1], pairs)
+        if score(alone.cost)[0] - score(at.cost)[0] < PARALLAX_EVIDENCE:
+            return "floor"
+    # An epipolar line explains a corner of the floor too, but leaves open how far along it has moved. Where a floor
+    # repeats it even explains both motions: only the matches of this one are asked.
+    asked = pairs.take(np.flatnonzero(right)[:SUBSET])
+    on_floor = rows[right][:SUBSET]
+    line = refine(motion[None], asked, 2, floor=False).explained.residuals[:, 0, on_floor]
+    spread = at.spread[0, right][:SUBSET][on_floor]
+    left_open = 2 * np.log1p(disparity(motion, asked)[on_floor] / spread)
+    gain = ((line**2).sum(0) + left_open - at.cost[0, right][:SUBSET][on_floor]).sum()
     return "floor" if gain > FLOOR_EVIDENCE else "rotation"
 
 

@@ -55,7 +55,7 @@ def spread_rows(
 
 
 def image_features(
-    rgb: UInt8[np.ndarray, "H W 3"], mask: Bool[np.ndarray, "H W"] | None = None, *, count: int = COUNT
+    rgb: UInt8[np.ndarray, "H W 3"], mask: Bool[np.ndarray, "h w"] | None = None, *, count: int = COUNT
 ) -> ImageFeatures:
     """Finds SIFT corners, spread over the image, and describes them by RootSIFT (Arandjelovic and Zisserman 2012).
 
@@ -77,7 +77,7 @@ def image_features(
     if mask is not None:
         allowed = cv2.resize(mask.astype(np.uint8), grey.shape[::-1], interpolation=cv2.INTER_NEAREST)
     # Without precise upscaling the doubled first octave lies a quarter of a pixel off.
-    detector = cv2.SIFT.create(0, 3, CONTRAST, 10, 1.6, True)
+    detector = cv2.SIFT.create(2 * count, 3, CONTRAST, 10, 1.6, True)
     keypoints, descriptors = detector.detectAndCompute(grey, allowed)
     if descriptors is None:
         return ImageFeatures(np.zeros((0, 2)), np.zeros((0, 128), np.float32), np.zeros(0))

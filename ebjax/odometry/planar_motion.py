@@ -131,7 +131,7 @@ def make_pairs(
     )
 
 
-def lever(theta: Float[np.ndarray, "*h"], camera_xy: Float[np.ndarray, "2"]) -> Float[np.ndarray, "*h 2"]:
+def lever(theta: float | Float[np.ndarray, "*h"], camera_xy: Float[np.ndarray, "2"]) -> Float[np.ndarray, "*h 2"]:
     """(R - I) c: how far a turn of the base alone moves the camera."""
     c, s, (x, y) = np.cos(theta) - 1, np.sin(theta), camera_xy
     return np.stack([c * x - s * y, s * x + c * y], -1)

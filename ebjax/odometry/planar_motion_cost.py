@@ -21,6 +21,8 @@ RHO_MAX = 2.5
 """Nothing is seen nearer than its inverse, 1/m."""
 RHO_SIGMA = 0.004
 """Standard deviation of a depth image's inverse depth, 1/m: that of stereo is the same at every range."""
+LINE_COST = 2.0
+"""What a match on a line of any length costs beside one at a point, as GRIC has it (Torr 1998)."""
 WRONG_COST = 20.0
 """-2 log likelihood of a wrong match: anywhere in the image, against one within a pixel."""
 
@@ -66,7 +68,7 @@ def explain(
     *,
     floor: bool = True,
     like: Explained | None = None,
-    open_end: bool = False,
+    lines: bool = False,
 ) -> Explained:
     """Distances of the seen pixels from where each motion lets them lie.
 
@@ -78,7 +80,7 @@ def explain(
       pairs: the matches.
       floor: whether a match may be a point of the floor, and none may lie beyond it.
       like: take what is floor, and the spread, from these: what derivatives need.
-      open_end: let segments reach the camera. At an unknown scale their end is a matter of taste, no information.
+      lines: let segments go on beyond both ends. What only a end forbids is a bound, no information.
     """
     far_x, far_y, dx, dy, bend, ratio = segments(motions, pairs)
     ox, oy = pairs.pixels_i[:, 0] - far_x, pairs.pixels_i[:, 1] - far_y
@@ -90,7 +92,7 @@ def explain(
     inner = (ox * dx + oy * dy) / length
     # The nearest place on the line: inner = length rho / (1 + bend rho).
     rest = length - inner * bend
-    rho = np.clip(inner / np.where(rest > 0, rest, 1e-12), least, 1e3 if open_end else RHO_MAX)
+    rho = np.clip(inner / np.where(rest > 0, rest, 1e-12), -1e3 if lines else least, RHO_MAX if floor else 1e3)
     at, at_known = rho / np.maximum(1 + bend * rho, 0.05), known / np.maximum(1 + bend * known, 0.05)
     wall_x, wall_y = ox - dx * at, oy - dy * at
     exact_x, exact_y = ox - dx * at_known, oy - dy * at_known
@@ -109,9 +111,10 @@ def explain(
         exact_x, exact_y = exact_x - forgiven * dx, exact_y - forgiven * dy
         seen = np.nan_to_num(pairs.rho_i, nan=0.0)
         third = np.where(has_depth, (seen - known / ratio_known) / (RHO_SIGMA * np.sqrt(1 + ratio_known**-4)), 0)
-    # At an unknown scale 1 to 2 m are as likely as 10 to 20: the way that a corner moved counts, not how far it might.
-    open_px = length * RHO_MAX / np.maximum(1 + bend * RHO_MAX, 0.05) if floor else 3 * length * at
-    wall_cost = (wall_x**2 + wall_y**2) / wall_spread**2 + 2 * np.log1p(open_px / (2.5 * wall_spread))
+    open_px = length * RHO_MAX / np.maximum(1 + bend * RHO_MAX, 0.05)
+    # Without a floor the scale is free, and so is the length: a pure rotation says more by one number a match.
+    freedom = 2 * np.log1p(open_px / (2.5 * wall_spread)) if floor else LINE_COST * (length > 1e-9)
+    wall_cost = (wall_x**2 + wall_y**2) / wall_spread**2 + freedom
     exact_cost = (exact_x**2 + exact_y**2) / exact_spread**2 + third**2
     is_floor = pairs.may_be_floor & floor & (exact_cost < wall_cost) if like is None else like.floor
     exact = is_floor | has_depth
@@ -121,6 +124,12 @@ def explain(
     residuals = np.concatenate([pixel, np.where(exact, third, 0)[None]])
     cost = np.where(behind, 1e6, np.where(exact, exact_cost, wall_cost))
     return Explained(residuals, spread, cost, is_floor)
+
+
+def disparity(motion: Float[np.ndarray, "3"], pairs: Pairs) -> Float[np.ndarray, " N"]:
+    """How far the known inverse depth moves each corner from where the rotation alone puts it, px."""
+    _, _, dx, dy, bend, _ = (a[0] for a in segments(motion[None], pairs))
+    return np.hypot(dx, dy) * pairs.known / np.maximum(1 + bend * pairs.known, 0.05)
 
 
 def quick_score(motions: Float[np.ndarray, "H 3"], pairs: Pairs) -> Float[np.ndarray, " H"]:

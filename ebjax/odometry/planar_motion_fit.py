@@ -15,6 +15,8 @@ from ebjax.odometry.planar_motion_search import epipolar_pairs, floor_votes, rig
 STEPS = np.array([1e-4, 1e-4, 2e-5])
 RIDGE = np.array([25.0, 25.0, 100.0])
 """Information that keeps what no match tells: 0.2 m, 0.1 rad."""
+HELD = 1e12
+"""Information that holds a number."""
 FREEDOM = 3.0
 """Degrees of freedom of Student's distribution: most corners lie far better than the worst."""
 POLISH = 4
@@ -72,12 +74,17 @@ def refine(
       floor: whether a match may be a point of the floor.
       turns: whether theta may change.
     """
-    ridge = np.diag(RIDGE * np.array([1.0, 1.0, 1.0 if turns else 1e13]))
+    ridge = RIDGE + HELD * np.array([0.0, 0.0, not turns])
+    # Without a floor a pure rotation is another model, not a small b.
+    rests = np.all(motions[:, :2] == 0, axis=1) & (not floor)
+    ridge = ridge + HELD * rests[:, None] * np.array([1.0, 1.0, 0.0])
     at = explain(motions, pairs, floor=floor)
     best, best_score = motions, score(at.cost)
     for _ in range(iterations):
         hessian, gradient = normal_equations(motions, pairs, at, trust(at.cost), floor=floor)
-        step = np.linalg.solve(hessian + ridge, gradient[..., None])[..., 0]
+        step = np.linalg.solve(hessian + ridge[:, None] * np.eye(3), gradient[..., None])[..., 0]
+        step[rests, :2] = 0
+        step[:, 2] *= turns
         step *= np.minimum(1, 0.2 / np.maximum(np.abs(step).max(1), 1e-9))[:, None]
         motions = motions - step
         at = explain(motions, pairs, floor=floor)
@@ -151,7 +158,7 @@ def polish(
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
     """The last refinement: Student's weights, the noise of the corners estimated with the motion (Lange et al. 1989).
 
-    Without a floor no match tells the length of b, which is held.
+    Without a floor no match tells the length of b, which is held; b = 0, a pure rotation, stays so.
 
     Args:
       motion: (bx, by, theta), nearly right.
@@ -163,10 +170,12 @@ def polish(
     Returns:
       The motion, and its covariance by the noise of its own residuals.
     """
+    moved = bool((motion[:2] != 0).any())
     if not floor:
         way = motion * [1, 1, 0] / max(np.linalg.norm(motion[:2]), 1e-9)
-        prior = prior + way * (way @ (motion - prior))
-        information = information + 1e6 * np.outer(way, way)
+        held = np.outer(way, way) if moved else np.diag([1.0, 1.0, 0.0])
+        prior = prior + held @ (motion - prior)
+        information = information + HELD * held
     motions, variance = motion[None], 1.0
     at = explain(motions, pairs, floor=floor)
     keep = at.cost < WRONG_COST
@@ -182,6 +191,6 @@ def polish(
     # Fisher's information of Student's location is (v + d) / (v + d + 2) of the Gauss-Newton matrix at unit weight.
     weights = keep * (FREEDOM + freedom) / (FREEDOM + freedom + 2) / variance
     if not floor:
-        at = explain(motions, pairs, floor=floor, like=at, open_end=True)
-    unit, _ = normal_equations(motions, pairs, at, weights, floor=floor, open_end=not floor)
+        at = explain(motions, pairs, floor=floor, like=at, lines=moved)
+    unit, _ = normal_equations(motions, pairs, at, weights, floor=floor, lines=moved and not floor)
     return motions[0], np.linalg.inv(unit[0] + information)

@@ -21,7 +21,7 @@ from ebjax.odometry.planar_motion_fit import polish, refine, turn_width
 
 __all__ = ["ImageFeatures", "MotionMeasurement", "image_features", "measure_motion"]
 
-FEWEST_ROTATION = 20
+FEWEST_ROTATION = 25
 WEAK = 1e-3
 """Information that keeps what no match tells from running away, 1 / m^2 and 1 / rad^2."""
 MOST_SIGMA_RAD = 0.01
