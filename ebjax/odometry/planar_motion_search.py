@@ -21,7 +21,8 @@ def turn_peaks(pairs: Pairs, count: int) -> Float[np.ndarray, "K 3"]:
     turn = turn[np.abs(turn) < TURN_LIMIT_RAD]
     low = np.searchsorted(turn, turn - TURN_WINDOW_RAD)
     high = np.searchsorted(turn, turn + TURN_WINDOW_RAD)
-    votes, peaks = high - low, []
+    votes = high - low
+    peaks: list[list[float]] = []
     while len(peaks) < count and len(votes) and votes.max() > 0:
         best = int(votes.argmax())
         peaks.append([0.0, 0.0, turn[low[best] : high[best]].mean()])

@@ -53,7 +53,9 @@ def height_off(landmarks: Landmarks, camera: Camera) -> float:
 def measured_scale(wrong: Systematic, errors: WheelErrors) -> tuple[float, float]:
     """The floor's metres per metre of the wheels without what was expected of it, and its standard deviation."""
     expected, both = errors.scale_sigma**-2, wrong.sigma[0] ** -2
-    own = max(both - expected, 1e-3 * expected)
+    own = both - expected
+    if own < 0.05 * expected:
+        return 1.0, float("inf")
     return 1 + (wrong.scale - 1) * both / own, own**-0.5
 
 

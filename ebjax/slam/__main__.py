@@ -73,7 +73,7 @@ class Config(PipelineConfig):
     """Added to the images' stamps, s; auto: estimated from turning rates where the odometry tells it."""
     max_gap_s: float = MAX_GAP_S
     """How far apart two samples of the odometry may be to interpolate between them, s."""
-    mask: Path | Literal["auto", "none"] = "auto"
+    mask: Literal["auto", "none"] | Path = "auto"
     """Pixels that are no floor: an image, black or transparent there; auto: found over the run, where the picture never
     changes (the robot's own body, dirt), or transparent in the images themselves."""
     min_coverage: float = 0.9

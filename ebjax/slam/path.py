@@ -100,4 +100,5 @@ def path_of_motion(motion: Motion, way: Float[np.ndarray, "F 3"]) -> Path:
     settled[:-1] = log(compose(inverse(there), between(motion.poses[:-1], motion.poses[1:])))
     relative = compose(relative, share[:, None] * settled[row])
     edges = Edges(*(np.concatenate([a, b]) for a, b in zip(motion.chain, motion.further, strict=True)))
-    return Path(frames, motion.poses, SYSTEMATIC * motion.covariance, edges, row, relative, share)
+    poses = compose(np.broadcast_to(way[frames[0]], motion.poses.shape), motion.poses)  # starts where the odometry does
+    return Path(frames, poses, SYSTEMATIC * motion.covariance, edges, row, relative, share)
