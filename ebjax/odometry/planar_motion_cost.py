@@ -21,7 +21,7 @@ RHO_MAX = 2.5
 """Nothing is seen nearer than its inverse, 1/m."""
 RHO_SIGMA = 0.004
 """Standard deviation of a depth image's inverse depth, 1/m: that of stereo is the same at every range."""
-LINE_COST = 2.0
+LINE_COST = 1.0
 """What a match on a line of any length costs beside one at a point, as GRIC has it (Torr 1998)."""
 WRONG_COST = 20.0
 """-2 log likelihood of a wrong match: anywhere in the image, against one within a pixel."""

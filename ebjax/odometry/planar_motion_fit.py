@@ -25,7 +25,7 @@ SUBSET = 100
 """The search looks at so many of the best matches; the last refinement at all of them."""
 CLEAR = 0.35
 """Share of the cost of wrong matches below which a motion is taken for found."""
-PROFILE_RAD = np.radians([0.1, 0.2, 0.3, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.5])
+PROFILE_RAD = np.radians([0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0, 1.25, 1.5, 1.8])
 LEVELS_M = np.array([0.0, 0.02, 0.06, 0.2, 0.6])
 """Lengths of b that are tried where only its direction is known."""
 
@@ -141,11 +141,15 @@ def turn_width(motion: Float[np.ndarray, "3"], pairs: Pairs) -> float:
     A turn and a sideways move look alike where all corners are close together, and then a few wrong matches decide:
     what the noise of the right ones says of theta is too good.
     """
-    offsets = np.concatenate([-PROFILE_RAD[::-1], PROFILE_RAD])
-    starts = np.repeat(motion[None], len(offsets), 0) + offsets[:, None] * [0, 0, 1]
-    scores = refine(starts, pairs, 5, floor=False, turns=False).scores
     near = score(explain(motion[None], pairs, floor=False).cost)[0] + 2 * WRONG_COST
-    return float(np.abs(offsets[scores < near]).max(initial=PROFILE_RAD[0]))
+    start = motion if (motion[:2] != 0).any() else motion + np.array([0, 1e-3, 0])
+    motions, width = np.stack([start, start]), PROFILE_RAD[0]
+    for offset in PROFILE_RAD:
+        motions = np.column_stack([motions[:, :2], motion[2] + np.array([-offset, offset])])
+        fit = refine(motions, pairs, 3, floor=False, turns=False)
+        motions = fit.motions
+        width = offset if fit.scores.min() < near else width
+    return float(width)
 
 
 def polish(
@@ -188,6 +192,8 @@ def polish(
         motions = motions - np.linalg.solve(hessian + information, gradient[..., None])[..., 0]
         variance = max(variance * (weights * squared).sum() / max(freedom.sum() - 3, 1), 0.01)
         at = explain(motions, pairs, floor=floor, like=at)
+    if not (floor or moved):
+        motions[:, :2] = 0
     # Fisher's information of Student's location is (v + d) / (v + d + 2) of the Gauss-Newton matrix at unit weight.
     weights = keep * (FREEDOM + freedom) / (FREEDOM + freedom + 2) / variance
     if not floor:

@@ -86,8 +86,10 @@ def _right_tangent(
 
 def _at_length(choice: Choice, expected: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
     """The motion with the length of b that is expected, in its own direction or in that which is expected too."""
-    way = choice.motion[:2] / max(np.linalg.norm(choice.motion[:2]), 1e-9)
-    starts = np.stack([np.append(np.linalg.norm(expected[:2]) * way, choice.motion[2]), expected])
+    length, moved = np.linalg.norm(expected[:2]), np.linalg.norm(choice.motion[:2])
+    starts = expected[None]
+    if moved > 0:
+        starts = np.stack([np.append(length / moved * choice.motion[:2], choice.motion[2]), expected])
     fit = refine(starts, choice.pairs, 3, floor=False)
     return fit.motions[fit.scores.argmin()]
 
@@ -156,8 +158,9 @@ def measure_motion(
         way = motion[:2] / max(np.linalg.norm(motion[:2]), 1e-9)
         moved = expected[:2] if by_floor else np.linalg.norm(expected[:2]) * way
         i_from_j[:2] = 0 if prior is None else moved - lever(motion[2], xy)
-        # The width is that of three standard deviations.
-        width = 0.0 if by_floor else turn_width(motion, choice.pairs) / 3
+        # The width is that of three standard deviations; parallax of a pixel would pass for turning.
+        pixel = features_i.unit_px / np.asarray(camera.intrinsics)[0, 0]
+        width = 0.0 if by_floor else max(turn_width(motion, choice.pairs) / 3, pixel)
         theta = np.full((1, 1), max(covariance[2, 2], width**2))
         covariance = np.block([[wide[:2, :2], np.zeros((2, 1))], [np.zeros((1, 2)), theta]])
     enough = inliers >= (FEWEST if by_floor else FEWEST_ROTATION)
