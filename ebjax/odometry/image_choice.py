@@ -33,8 +33,8 @@ GUIDE_BELOW = 80
 """With fewer inliers than this, partners are looked for where the motions predict them."""
 HOPEFUL_SHARE = 0.6
 """Motions with less of the best one's evidence cannot win by the partners that they predict."""
-RIVAL_SHARE = 0.85
-"""A second motion with this share of the evidence makes the first doubtful."""
+RIVAL_SHARE, RIVAL_MARGIN = 0.85, 150.0
+"""A second motion with this share of the evidence, and no farther behind, makes the first doubtful."""
 RIVAL_RAD, RIVAL_M = 0.01, 0.05
 SECOND_SHARE = 0.25
 """A floor that repeats shows a second motion, in matches that the first leaves; with this share it counts."""
@@ -163,6 +163,11 @@ def known_by(motion: Float[np.ndarray, "3"], pairs: Pairs) -> Kind:
     return "floor" if gain > FLOOR_EVIDENCE else "rotation"
 
 
+def _rivals(evidence: Float[np.ndarray, " C"], best: int) -> Bool[np.ndarray, " C"]:
+    """Motions with nearly as much evidence as the best one."""
+    return evidence > max(RIVAL_SHARE * evidence[best], evidence[best] - RIVAL_MARGIN)
+
+
 def choose(
     images: Images,
     rows: tuple[Int[np.ndarray, " K"], Int[np.ndarray, " K"]],
@@ -200,7 +205,7 @@ def choose(
     kept &= found > max(EVIDENCE, SECOND_SHARE * found.max())
     kept = np.flatnonzero(kept) if kept.any() else np.arange(len(motions))
     best = int(kept[total[kept].argmax()])
-    rivals = (total > RIVAL_SHARE * total[best]) | (found > RIVAL_SHARE * found[best]) | (repeats != repeats[best])
+    rivals = _rivals(total, best) | _rivals(found, best) | (repeats != repeats[best])
     rivals &= np.isin(np.arange(len(motions)), kept)
     apart = np.abs(motions - motions[best])
     angle: Bool[np.ndarray, " C"] = rivals & (apart[:, 2] > RIVAL_RAD)

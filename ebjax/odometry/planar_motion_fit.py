@@ -121,7 +121,7 @@ def search(pairs: Pairs, start: Float[np.ndarray, "K 3"], *, floor: bool = True,
         some = some.without_floor()
     epipolar = epipolar_pairs(some, SETS, random) * [0.3, 0.3, 1]
     motions = np.concatenate([start, turn_peaks(some, 3), epipolar, rigid_pairs(some, SETS, random)])
-    fit = refine(motions[distinct(motions, quick_score(motions, some), 8)], some, 3)
+    fit = refine(motions[distinct(motions, quick_score(motions, some), 8)], some, 3, floor=floor)
     # What explains most matches at once needs no further hypotheses.
     if fit.scores.min() > CLEAR * WRONG_COST * len(some):
         more = [fit.motions]
@@ -130,7 +130,8 @@ def search(pairs: Pairs, start: Float[np.ndarray, "K 3"], *, floor: bool = True,
             more.append(np.column_stack([LEVELS_M[:, None] * way, np.full(len(LEVELS_M), motion[2])]))
             more.append(floor_votes(motion[2], some, 8))
         motions = np.concatenate(more)
-        fit = refine(motions[distinct(motions, score(explain(motions, some).cost), 6, (0.02, 0.02, 0.01))], some, 3)
+        scores = score(explain(motions, some, floor=floor).cost)
+        fit = refine(motions[distinct(motions, scores, 6, (0.02, 0.02, 0.01))], some, 3, floor=floor)
     fit = refine(fit.motions[distinct(fit.motions, fit.scores, 3)], pairs, 2, floor=floor)
     return fit.sorted()
 
