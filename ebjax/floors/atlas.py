@@ -16,6 +16,7 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int, Key
 
 from ebjax.floors import mipmap, wear
+from ebjax.floors.lattice import HOME_M
 from ebjax.floors.mipmap import Mipmap
 from ebjax.floors.noise import fractal_noise
 from ebjax.floors.plan import Plan
@@ -127,7 +128,8 @@ def _block(
     points = jnp.stack([corner[0] + c * u - s * v, corner[1] + s * u + c * v], axis=-1)
     own, coarse, fine = jax.random.split(key, 3)
     colour = family(floor.family).reflectance(points, floor, *photographs, key=own)
-    grime = fractal_noise(1.5 * points, key=coarse) + 0.5 * fractal_noise(5.0 * points, key=fine, octaves=3)
+    grime = fractal_noise(1.5 * points, key=coarse, home=1.5 * HOME_M)
+    grime = grime + 0.5 * fractal_noise(5.0 * points, key=fine, octaves=3, home=5.0 * HOME_M)
     return colour * (1 + 0.1 * floor.dirt * grime)[..., None]
 
 

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
+from ebjax.floors.lattice import HOME_M
 from ebjax.floors.noise import fractal_noise
 from ebjax.floors.surface import Family, Material, joint, lay, mix, spread
 
@@ -37,7 +38,9 @@ def reflectance(points: Float[Array, "*s 2"], floor: Material, *, key: Key[Array
     colour = spread((0.088, 0.094, 0.112), (0.75 + 0.5 * loop) * (1 + 0.08 * own[..., 0]))
     seam = joint(tile.edge_m, floor.joint_m, floor.texel_m)
     colour = mix(colour, (0.03, 0.03, 0.035), 0.6 * seam)
-    tread = jnp.stack([fractal_noise(1.2 * points, key=k) for k in jax.random.split(tread_key)], axis=-1)
+    tread = jnp.stack(
+        [fractal_noise(1.2 * points, key=k, home=1.2 * HOME_M) for k in jax.random.split(tread_key)], axis=-1
+    )
     turn = 0.5 * jnp.pi * jnp.floor(4 * tile.random[..., 1])
     laid = jnp.stack([jnp.cos(turn), jnp.sin(turn)], axis=-1)
     bulge = jnp.stack([-jnp.sin(u), -jnp.sin(v)], axis=-1)

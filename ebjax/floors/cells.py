@@ -6,6 +6,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
+from ebjax.floors.lattice import entry
+
 
 class Cell(NamedTuple):
     """The cell in which a point lies; lengths in lattice cells."""
@@ -18,22 +20,21 @@ class Cell(NamedTuple):
     """Four numbers in [0, 1) of the cell's own."""
 
 
-def voronoi(points: Float[Array, "*s 2"], *, key: Key[Array, ""], period: int = 128) -> Cell:
-    """One seed a lattice cell, at a random place in it.
+def voronoi(points: Float[Array, "*s 2"], *, key: Key[Array, ""], side: int = 128) -> Cell:
+    """One seed a lattice cell, at a random place in it; nothing repeats.
 
     Args:
       points: (x, y) in lattice cells.
       key: of the seeds.
-      period: cells after which they repeat, along both axes.
+      side: of the table of seeds, cells.
     """
-    table = jax.random.uniform(key, (period * period, 6), points.dtype)
+    table = jax.random.uniform(key, (side * side, 6), points.dtype)
     corner = jnp.floor(jax.lax.stop_gradient(points))
     cell = corner.astype(jnp.int32)
 
     def nearer(carry, shift):
         first, second, index = carry
-        column, row = (cell[..., 0] + shift[0]) % period, (cell[..., 1] + shift[1]) % period
-        at = row * period + column
+        at = entry(cell[..., 0] + shift[0], cell[..., 1] + shift[1], (side, side), side)
         x = table[at, 0] + corner[..., 0] + shift[0]
         y = table[at, 1] + corner[..., 1] + shift[1]
         distance = jnp.sqrt((points[..., 0] - x) ** 2 + (points[..., 1] - y) ** 2)

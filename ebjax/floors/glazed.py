@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
+from ebjax.floors.lattice import HOME_M
 from ebjax.floors.noise import fractal_noise, gradient_noise, warped
 from ebjax.floors.surface import Family, Material, joint, lay, mix, spread
 
@@ -30,7 +31,7 @@ def reflectance(points: Float[Array, "*s 2"], floor: Material, *, key: Key[Array
     opacity = jnp.clip(0.45 * blotch + 0.45 * vein + 0.18 * cloud, 0, 0.85)
     tone = 1 + 0.05 * floor.dirt * (tile.random[..., 0] - 0.5)
     colour = mix(spread((0.62, 0.61, 0.57), tone), (0.30, 0.265, 0.23), opacity)
-    filth = fractal_noise(2.5 * points, key=grime)
+    filth = fractal_noise(2.5 * points, key=grime, home=2.5 * HOME_M)
     grout = spread((0.105, 0.098, 0.09), 1 + 0.6 * floor.dirt * filth)
     return mix(colour, grout, joint(tile.edge_m, floor.joint_m, floor.texel_m))
 

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
+from ebjax.floors.lattice import HOME_M
 from ebjax.floors.noise import fractal_noise, gradient_noise, warped
 from ebjax.floors.surface import Family, Material, joint, lay, mix, spread
 
@@ -19,7 +20,7 @@ def reflectance(points: Float[Array, "*s 2"], floor: Material, *, key: Key[Array
     layout, bend, broad_key, fine_key, ridge_key, rust_key, wobble = jax.random.split(key, 7)
     # Sawn by hand: edges wander by a millimetre or two.
     shaken = points + 0.0025 * jnp.stack(
-        [gradient_noise(9.0 * points, key=k) for k in jax.random.split(wobble)], axis=-1
+        [gradient_noise(9.0 * points, key=k, home=9.0 * HOME_M) for k in jax.random.split(wobble)], axis=-1
     )
     slab = lay(shaken, (1.5 * floor.size_m, floor.size_m), floor, key=layout, bond=0.37, turns=2)
     p = slab.pattern

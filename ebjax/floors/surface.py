@@ -14,8 +14,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 
+from ebjax.floors.lattice import entry
+
 FamilyName = Literal["glazed", "marble", "terrazzo", "slabs", "concrete", "wood", "carpet", "photograph"]
 FAMILIES = {name: f"ebjax.floors.{name}:FAMILY" for name in get_args(FamilyName)}
+SIDE = 128
+"""Of the table of what elements draw, elements."""
 
 
 class Family(NamedTuple):
@@ -134,7 +138,7 @@ def lay(
     bond: float | None = 0.0,
     turns: int = 4,
 ) -> Element:
-    """Finds each point's element in rows along x.
+    """Finds each point's element in rows along x; beyond designs in their lattice nothing repeats.
 
     Args:
       points: world, m.
@@ -145,17 +149,18 @@ def lay(
       turns: orientations in which strays lie: 4, 2 (half turns) or 1.
     """
     table_key, window_key, shift_key = jax.random.split(key, 3)
-    table = jax.random.uniform(table_key, (128 * 128, 5), points.dtype)
+    table = jax.random.uniform(table_key, (SIDE * SIDE, 5), points.dtype)
     windows = jax.random.uniform(window_key, (floor.designs, 2), points.dtype, 0.0, 40.0)
     y = points[..., 1] / size_m[1]
     row = jnp.floor(jax.lax.stop_gradient(y)).astype(jnp.int32)
     if bond is None:
-        shift = jax.random.uniform(shift_key, (128,), points.dtype)[row % 128]
+        shifts = jax.random.uniform(shift_key, (SIDE,), points.dtype)
+        shift = shifts[entry(row, jnp.zeros_like(row), (SIDE, 1), SIDE)]
     else:
         shift = bond * row.astype(points.dtype)
     x = points[..., 0] / size_m[0] + shift
     column = jnp.floor(jax.lax.stop_gradient(x)).astype(jnp.int32)
-    draw = table[(row % 128) * 128 + column % 128]
+    draw = table[entry(column, row, (SIDE, SIDE), SIDE)]
     stray = draw[..., 0] < floor.disorder
     of_lattice = (column + 2 * row) % floor.designs
     design = jnp.where(stray, (draw[..., 1] * floor.designs).astype(jnp.int32), of_lattice)

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
 from ebjax.floors.cells import voronoi
-from ebjax.floors.noise import fractal_noise
+from ebjax.floors.noise import PERIOD, fractal_noise
 from ebjax.floors.surface import Family, Material, joint, lay, mix, spread
 
 CEMENT = (0.33, 0.32, 0.295)
@@ -23,9 +23,9 @@ def reflectance(points: Float[Array, "*s 2"], floor: Material, *, key: Key[Array
       key: of the chips.
     """
     layout, cloud_key, mottle, *chip_keys = jax.random.split(key, 3 + len(SIZES))
-    cloud = fractal_noise(1.2 * points, key=cloud_key)
+    cloud = fractal_noise(1.2 * points, key=cloud_key, home=PERIOD)
     colour = spread(CEMENT, 1 + 0.12 * cloud)
-    grain = fractal_noise(90.0 * points, key=mottle, octaves=2)
+    grain = fractal_noise(90.0 * points, key=mottle, octaves=2, home=PERIOD)
     palette = jnp.asarray(CHIPS, points.dtype)
     for (size_m, share, gap), chip_key in zip(SIZES, chip_keys, strict=True):
         edge, _, own = voronoi(points / size_m, key=chip_key)
