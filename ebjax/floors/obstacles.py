@@ -62,7 +62,7 @@ def _safe(x):
 
 
 def see_boxes(
-    boxes: Boxes, ray: list[Plane], origin: Float[Array, "3"], nearest: Plane, colour: Float[Array, "H W 3"]
+    boxes: Boxes, ray: list[Plane], origin: Float[Array, "3 *rows"], nearest: Plane, colour: Float[Array, "H W 3"]
 ) -> tuple[Plane, Float[Array, "H W 3"]]:
     """The nearer one of what was seen and the boxes: t, and reflectance with faces shaded by their side."""
 
@@ -89,7 +89,7 @@ def see_boxes(
 
 
 def see_posts(
-    posts: Posts, ray: list[Plane], origin: Float[Array, "3"], nearest: Plane, colour: Float[Array, "H W 3"]
+    posts: Posts, ray: list[Plane], origin: Float[Array, "3 *rows"], nearest: Plane, colour: Float[Array, "H W 3"]
 ) -> tuple[Plane, Float[Array, "H W 3"]]:
     """The nearer one of what was seen and the posts: t, and reflectance that falls off towards their outlines."""
 

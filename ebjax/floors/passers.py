@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from ebjax.floors.obstacles import Boxes, Posts, no_boxes, no_posts
 from ebjax.floors.render import Passers
+from ebjax.floors.robot import step_signs
 
 LEG_M, STRIDE_M, CROTCH_M, SHOULDER_M = 0.065, 0.6, 0.86, 1.5
 CART = (0.42, 0.25, 0.16, 0.95)
@@ -64,7 +65,7 @@ def plan_walks(
     frame = 0
     if config.share == 0:
         return walks
-    step = np.append(np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1), 0.0)
+    step = np.append(step_signs(poses) * np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1), 0.0)
     while frame < len(poses):
         oncoming = rng.uniform() < 0.6
         speed = config.speed_mps * rng.uniform(0.8, 1.2) * (-1 if oncoming else 0.9)

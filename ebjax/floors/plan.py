@@ -23,6 +23,11 @@ class PlanConfig:
     """From the end of a corridor that meets no other to the wall that closes it, m."""
     door_spacing_m: float = 2.4
     """Between identical doors, m."""
+    ramp: str = ""
+    """Foot and top of a ramp, "x y, x y", m: from the line across at the first point to that at the second the floor
+    climbs, beyond it stays up, in all corridors; none: the floor is level."""
+    ramp_deg: float = 0.0
+    """Slope of that ramp, degrees; below 0 it goes down."""
 
 
 @dataclasses.dataclass(frozen=True)

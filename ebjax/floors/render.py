@@ -12,13 +12,17 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ebjax.floors import atlas
+from ebjax.floors.lattice import entry
 from ebjax.floors.obstacles import Boxes, Posts, see_boxes, see_posts, shade_by_boxes, shade_by_posts
+from ebjax.floors.ramp import Ramp, see_level
 from ebjax.floors.scene import CEILING_M, LAMP_SPACING_M, Scene, ceiling, covered, lamps, nearest_wall, wall_colour
 from ebjax.geometry.camera import Camera
 
 LAMP_RADIANCE = 3.0
+DAYLIGHT_M = 60.0
 SUN_SPACING_M, SUN_WIDTH_M, SUN_SLANT = 3.1, 0.9, 0.6
 Component = Float[Array, "H W"]
+Things = typing.TypeVar("Things", Boxes, Posts)
 
 
 # Unchecked at run time: vmap and tree_map rebuild the node with batched or placeholder leaves.
@@ -33,11 +37,11 @@ class Light:
     contrast: Float[Array, "*lights"]
     """Depth of the pools of light under the lamps, 0 to 1."""
     slope: Float[Array, "*lights 2"]
-    """Relative growth of the light along x and y, 1/m: daylight from one end."""
+    """Relative growth of the light along x and y, 1/m: daylight from one end, even beyond `DAYLIGHT_M`."""
     gloss: Float[Array, "*lights"]
     """Strength of the mirror image of lamps and windows in the floor, 0 to 1."""
     sun: Float[Array, "*lights K"]
-    """What the sun adds on the floor behind each window in turn, times the lamps' light; 0 is no window."""
+    """What the sun adds on the floor behind windows, times the lamps' light; 0 is no window; K is a power of two."""
     sun_shift: Float[Array, "*lights"]
     """Where along the corridors it does, m."""
 
@@ -46,14 +50,14 @@ class Light:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Passers:
-    """What moves from frame to frame."""
+    """What moves from frame to frame; heights are above the floor."""
 
     boxes: Boxes
     posts: Posts
 
 
 def _footprint(
-    t: Component, ray: list[Component], steps: list[Float[Array, "3"]], normal: list, normal_ray: Component
+    t: Component, ray: list[Component], steps: list[Float[Array, "3 *rows"]], normal: list, normal_ray: Component
 ) -> list[list[Component]]:
     """d(hit)/d(pixel u, v) along the world axes, m: t (step - ray (n . step) / (n . ray))."""
     slants = [sum(n * s for n, s in zip(normal, step, strict=True)) / normal_ray for step in steps]
@@ -61,7 +65,7 @@ def _footprint(
 
 
 def _walls(
-    scene: Scene, ray: list[Component], steps: list[Float[Array, "3"]], origin: Float[Array, "3"]
+    scene: Scene, ray: list[Component], steps: list[Float[Array, "3 *rows"]], origin: Float[Array, "3 *rows"]
 ) -> tuple[Float[Array, "H W 3"], Component]:
     """Reflectance of the nearest wall along every ray, and its depth."""
     hit = nearest_wall(scene.walls, ray, origin)
@@ -71,6 +75,8 @@ def _walls(
     tall = jnp.abs(by_u[2]) + jnp.abs(by_v[2]) + 1e-6
     doors, plaster = scene.doors[hit.wall], scene.wall_colours[hit.wall]
     height = origin[2] + hit.t * ray[2]
+    if scene.ramp is not None:
+        height = height - scene.ramp.height(origin[0] + hit.t * ray[0], origin[1] + hit.t * ray[1])
     colour = wall_colour(plaster, hit.along, height, wide, tall, hit.length, doors[..., 0], doors[..., 1])
     return colour * (0.85 + 0.15 * jnp.abs(ex))[..., None], hit.t
 
@@ -83,6 +89,19 @@ def _mirrored_lamps(along: Component, across: Component, step: list[Component], 
     return LAMP_RADIANCE * fresnel * lamps(along + climb * step[0], across + climb * step[1], 0.03 + 0.02 * climb)
 
 
+def _by_row(vector: Float[Array, "*H 3"]) -> Float[Array, "3 *rows"]:
+    """A vector, or one a row of the image, as components that spread over the image."""
+    return vector if vector.ndim == 1 else vector.T[..., None]
+
+
+def _raised(things: Things, ramp: Ramp | None) -> Things:
+    """Boxes or posts whose heights are above the floor, in the world."""
+    if ramp is None:
+        return things
+    height = ramp.height(things.centres[:, 0], things.centres[:, 1])
+    return dataclasses.replace(things, bottoms=things.bottoms + height, tops=things.tops + height)
+
+
 def _sun(along: Component, across: Component, footprint: Component, light: Light) -> Component:
     """What the sun adds: slanted patches through windows with a bar in the middle."""
     x = along + SUN_SLANT * across - light.sun_shift
@@ -90,44 +109,42 @@ def _sun(along: Component, across: Component, footprint: Component, light: Light
     x = x - SUN_SPACING_M * window
     blur = footprint + 0.02
     pane = covered(jnp.abs(x), 0.03, SUN_WIDTH_M / 2, blur)
-    strength = light.sun[window.astype(jnp.int32) % light.sun.shape[-1]]
+    number, windows = window.astype(jnp.int32), light.sun.shape[-1]
+    strength = light.sun[entry(number, jnp.zeros_like(number), (windows, 1), windows)]
     return strength * pane * covered(across, -0.75, 0.35, blur)
 
 
 def render(
-    scene: Scene, camera: Camera, world_from_base: Float[Array, "4 4"], light: Light, passers: Passers
+    scene: Scene, camera: Camera, world_from_base: Float[Array, "*H 4 4"], light: Light, passers: Passers
 ) -> tuple[Float[Array, "H W 3"], Float[Array, "H W"]]:
     """Radiance of every pixel and the depth of what it sees, world point = t + depth R K^-1 (x, y, 1).
 
     Args:
       scene: walls, doors, floor, furniture.
       camera: its pose is relative to the base.
-      world_from_base: the robot; its camera must lie within the walls.
+      world_from_base: the robot, or where it is at each row of the image; its camera must lie within the walls.
       light: of this traverse.
-      passers: people and carts, where they are now.
+      passers: people and carts, where they are now; heights are above the floor.
 
     Returns:
       Linear RGB, and the distance along the optical axis in metres (infinite where no surface is hit).
     """
     pose = world_from_base @ camera.base_from_camera
-    rotation, origin, inverse = pose[:3, :3], pose[:3, 3], jnp.linalg.inv(camera.intrinsics)
+    rotation, origin, inverse = pose[..., :3, :3], _by_row(pose[..., :3, 3]), jnp.linalg.inv(camera.intrinsics)
     u, v = jnp.meshgrid(jnp.arange(camera.width, dtype=pose.dtype), jnp.arange(camera.height, dtype=pose.dtype))
-    steps = [rotation @ inverse[:, 0], rotation @ inverse[:, 1]]
-    first = rotation @ inverse[:, 2]
+    *steps, first = (_by_row(rotation @ inverse[:, k]) for k in range(3))
     ray = [u * steps[0][i] + v * steps[1][i] + first[i] for i in range(3)]
 
-    down = ray[2] < 0
-    upright = jnp.where(jnp.abs(ray[2]) < 1e-9, 1e-9, ray[2])
-    t_level = jnp.where(down, -origin[2], CEILING_M - origin[2]) / upright
+    t_level, down, rise, normal = see_level(scene.ramp, ray, origin, CEILING_M)
     plaster, t_wall = _walls(scene, ray, steps, origin)
     is_level = t_level <= t_wall
     is_floor: Bool[Array, "H W"] = is_level & down
 
     # Rays that miss floor and ceiling are given a harmless one, so that no gradient is NaN.
-    t, up = jnp.where(is_level, t_level, 1.0), jnp.where(is_level, jnp.abs(ray[2]), 1.0)
+    t, up = jnp.where(is_level, t_level, 1.0), jnp.where(is_level, jnp.abs(rise), 1.0)
     x, y = origin[0] + t * ray[0], origin[1] + t * ray[1]
     ground = atlas.locate(scene.floor, x, y)
-    by_u, by_v = _footprint(t, ray, steps, [0.0, 0.0, 1.0], jnp.where(down, -up, up))
+    by_u, by_v = _footprint(t, ray, steps, normal, jnp.where(down, -up, up))
     by_pixel = jnp.stack([jnp.stack(by_u[:2], axis=-1), jnp.stack(by_v[:2], axis=-1)], axis=-2)
     c, s = ground.direction[..., 0], ground.direction[..., 1]
     step = [c * ray[0] + s * ray[1], c * ray[1] - s * ray[0]]
@@ -148,10 +165,11 @@ def render(
     hit_x, hit_y = (origin[i] + jnp.where(jnp.isfinite(depth), depth, 0.0) * ray[i] for i in (0, 1))
     wave = 2 * jnp.pi / LAMP_SPACING_M
     pools = 1 + light.contrast * (0.7 * jnp.cos(wave * hit_x) + 0.3 * jnp.cos(wave * hit_y))
-    colour = colour * (pools * jnp.maximum(1 + light.slope[0] * hit_x + light.slope[1] * hit_y, 0.1))[..., None]
+    far_x, far_y = (jnp.clip(hit, -DAYLIGHT_M, DAYLIGHT_M) for hit in (hit_x, hit_y))
+    colour = colour * (pools * jnp.maximum(1 + light.slope[0] * far_x + light.slope[1] * far_y, 0.1))[..., None]
     glare = light.gloss * _mirrored_lamps(ground.along, ground.across, step, up)
     colour = colour + jnp.where(is_floor, glare, 0.0)[..., None]
     for boxes in (scene.furniture, passers.boxes):
-        depth, colour = see_boxes(boxes, ray, origin, depth, colour)
-    depth, colour = see_posts(passers.posts, ray, origin, depth, colour)
+        depth, colour = see_boxes(_raised(boxes, scene.ramp), ray, origin, depth, colour)
+    depth, colour = see_posts(_raised(passers.posts, scene.ramp), ray, origin, depth, colour)
     return colour * light.level[None, None, :], depth

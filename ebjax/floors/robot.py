@@ -45,7 +45,7 @@ class RobotConfig:
     distance_m: float = 10.0
     """Length of the straight way out along x where no route is given, m."""
     route: str = ""
-    """Polyline of the way out, "x y, x y, ...", m; the robot turns on the spot where it reverses."""
+    """Polyline of the way out, "x y, x y, ...", m; the robot turns on the spot where it leads back."""
     passes: int = 2
     """How often the route is driven: there, back, there, ..."""
     step_m: float = 0.25
@@ -64,6 +64,8 @@ class RobotConfig:
     """Length of one weave, m."""
     stops: int = 0
     """How often the robot stands still for three frames."""
+    reverse: bool = False
+    """Drive the ways back backwards: the robot does not turn round, and its camera looks as on the way out."""
     wheels: WheelsName = "drifting"
     """Odometry: drifting (a bad P3DX: 0.6 deg/m), d5 (25 degrees over 82 m, as the authors' run D5), mobilesim (within
     0.0075 m/m and rad/rad, its model of the Pioneers), stage (within 0.03 m/m and 0.05 rad/rad, Stage's defaults)."""
@@ -146,8 +148,8 @@ def _drive(
 def drive(config: RobotConfig, rng: np.random.Generator) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, " N"]]:
     """True poses of all passes, and the pass to which each belongs.
 
-    Passes with an odd number go back along the route, `lateral_offset_m` to the left of it as they see it. Turns on the
-    spot are to the left too.
+    Passes with an odd number go back along the route, `lateral_offset_m` to the left of it as they go. Turns on the
+    spot are to the left too. With `reverse` those passes go the same way, their headings turned by pi.
     """
     poses, number = np.zeros((0, 3)), []
     for p in range(config.passes):
@@ -155,6 +157,8 @@ def drive(config: RobotConfig, rng: np.random.Generator) -> tuple[Float[np.ndarr
         for leg in _legs(corners):
             offset = config.lateral_offset_m if p % 2 else 0.0
             driven = _drive(_centreline(leg, config.bend_m), offset, rng.uniform(0, 2 * np.pi), config)
+            if config.reverse and p % 2:
+                driven[:, 2] += np.pi
             if len(poses):
                 angle = (driven[0, 2] - poses[-1, 2]) % (2 * np.pi)
                 angle = angle - 2 * np.pi if angle > 1.5 * np.pi else angle
@@ -170,16 +174,32 @@ def drive(config: RobotConfig, rng: np.random.Generator) -> tuple[Float[np.ndarr
     return poses[order], np.array(number, np.float64)[order]
 
 
+def step_signs(poses: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, " n"]:
+    """Signs of the steps between poses: -1 where the robot drives backwards."""
+    step, middle = np.diff(poses, axis=0), (poses[1:, 2] + poses[:-1, 2]) / 2
+    return np.where(np.cos(middle) * step[:, 0] + np.sin(middle) * step[:, 1] < 0, -1.0, 1.0)
+
+
 def wheel_odometry(
-    poses: Float[np.ndarray, "N 3"], config: RobotConfig, rng: np.random.Generator
+    poses: Float[np.ndarray, "N 3"],
+    config: RobotConfig,
+    rng: np.random.Generator,
+    heights: Float[np.ndarray, " N"] | None = None,
 ) -> Float[np.ndarray, "N 3"]:
     """What the wheels count: each step's distance and turn, scaled, biased and noisy, summed up from (0, 0, 0).
 
-    A step is (chord, turn), driven as an arc; its noise variance is proportional to its distance and its turn.
+    A step is (chord, turn), driven as an arc; its noise variance is proportional to its distance and its turn. Driven
+    backwards, its distance is negative, and the errors that go with it change sign too. Standing counts nothing.
     "mobilesim" draws one error per run within +-0.0075 m/m and rad/rad (`odom_error` of the Pioneers in MobileSim's
     PioneerRobotModels.world.inc, mode random_init); "stage" within +-0.03 m/m and +-0.05 rad/rad (`odom_error
     [0.03 0.03 0.00 0.05]`, the default of Stage's position model). "d5" has the mean drift of the run D5 that the
     authors of Early Bird published: 25 degrees over 82 m.
+
+    Args:
+      poses: the truth, (x, y, heading); headings must not jump by 2 pi.
+      config: which wheels, and the factor of their errors.
+      rng: of the errors.
+      heights: of the floor, m: wheels count what they roll up and down a ramp; None: all level.
     """
     wheels, drift = WHEELS[config.wheels], config.drift
     forward, sideways, turning = rng.uniform(-1, 1, 3)
@@ -188,11 +208,14 @@ def wheel_odometry(
     turn_scale = 1 + drift * (wheels.rotation_scale - 1 + wheels.rotation_range * turning)
     step = np.diff(poses, axis=0)
     turn = (step[:, 2] + np.pi) % (2 * np.pi) - np.pi
-    distance = np.hypot(step[:, 0], step[:, 1])
+    rolled = np.hypot(step[:, 0], step[:, 1])
+    if heights is not None:
+        rolled = np.hypot(rolled, np.diff(heights))
+    distance = step_signs(poses) * rolled
     noise = drift * wheels.translation_noise * rng.normal(size=len(step))
-    counted = distance * scale + np.sqrt(distance) * noise
+    counted = distance * scale + np.sqrt(rolled) * noise
     # Half a metre of driving per radian is what a wheel rolls in a turn on the spot.
-    rolled = distance + 0.5 * np.abs(turn)
+    rolled = rolled + 0.5 * np.abs(turn)
     counted_turn = turn * turn_scale + drift * np.radians(wheels.heading_bias_deg_per_m) * distance
     counted_turn += drift * np.radians(wheels.rotation_noise_deg) * np.sqrt(rolled) * rng.normal(size=len(step))
     heading = np.concatenate([[0.0], np.cumsum(counted_turn)])

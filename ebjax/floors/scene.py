@@ -1,6 +1,7 @@
 """What stands around the floor: upright walls with doors that repeat and skirting, a ceiling of panels and lamps.
 
-World: z up, the floor is z = 0, metres. Reflectance is linear. Rays are lists of their three world components.
+World: z up, the floor is z = 0 but for a ramp, metres. Reflectance is linear. Rays are lists of their three world
+components.
 """
 
 import dataclasses
@@ -14,6 +15,7 @@ from jaxtyping import Array, Float, Int
 from ebjax.floors.atlas import Atlas
 from ebjax.floors.obstacles import Boxes
 from ebjax.floors.plan import Plan
+from ebjax.floors.ramp import Ramp
 
 CEILING_M = 2.6
 SKIRTING_M = 0.11
@@ -43,6 +45,8 @@ class Scene:
     """Position of one door along its wall and the spacing of the others, m; doors that do not fit are left out."""
     floor: Atlas
     furniture: Boxes
+    """Heights are above the floor."""
+    ramp: Ramp | None = None
 
 
 def make_scene(
@@ -51,6 +55,7 @@ def make_scene(
     door_spacing_m: float,
     furniture: Boxes,
     wall_colours: Float[np.ndarray, "S 3"] | None = None,
+    ramp: Ramp | None = None,
 ) -> Scene:
     """Walls of one plaster unless told otherwise, identical doors along them; the dtype is the floor's."""
     dtype = floor.lengths.dtype
@@ -58,7 +63,12 @@ def make_scene(
     doors = np.stack([lengths / 2, np.full_like(lengths, door_spacing_m)], axis=1)
     colours = np.tile(WALL, (len(lengths), 1)) if wall_colours is None else wall_colours
     return Scene(
-        jnp.asarray(plan.walls, dtype), jnp.asarray(colours, dtype), jnp.asarray(doors, dtype), floor, furniture
+        jnp.asarray(plan.walls, dtype),
+        jnp.asarray(colours, dtype),
+        jnp.asarray(doors, dtype),
+        floor,
+        furniture,
+        jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), ramp),
     )
 
 
@@ -118,7 +128,7 @@ class Hit(NamedTuple):
     along: Plane
 
 
-def nearest_wall(walls: Float[Array, "S 2 2"], ray: list[Plane], origin: Float[Array, "3"]) -> Hit:
+def nearest_wall(walls: Float[Array, "S 2 2"], ray: list[Plane], origin: Float[Array, "3 *rows"]) -> Hit:
     """Crosses every wall's line in turn and keeps the nearest hit; t is infinite where there is none."""
     lengths = jnp.sqrt(jnp.sum((walls[:, 1] - walls[:, 0]) ** 2, axis=-1))
     directions = (walls[:, 1] - walls[:, 0]) / lengths[:, None]

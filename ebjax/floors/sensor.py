@@ -29,6 +29,9 @@ class SensorConfig:
     """Farther surfaces have no depth, m."""
     shutter_s: float = 0.0
     """How long the shutter is open, s: what moves meanwhile is blurred."""
+    readout_s: float = 0.0
+    """Rolling shutter: from the first row's exposure to the last one's, s. A frame's time and pose are those of its
+    middle row; depth is seen row by row too."""
 
 
 def check(config: SensorConfig) -> None:

@@ -18,9 +18,10 @@ from ebjax.floors.cameras import CameraConfig, carried, make_camera
 from ebjax.floors.furniture import furnish
 from ebjax.floors.passers import PassersConfig
 from ebjax.floors.plan import Plan, PlanConfig, make_plan, polyline
+from ebjax.floors.ramp import make_ramp, stand
 from ebjax.floors.render import Light, Passers, render
 from ebjax.floors.robot import RobotConfig
-from ebjax.floors.scene import Scene, make_scene
+from ebjax.floors.scene import CEILING_M, Scene, make_scene
 from ebjax.floors.sensor import SensorConfig
 from ebjax.floors.surface import FloorConfig
 from ebjax.geometry.camera import Camera
@@ -74,6 +75,9 @@ def check(config: CorridorConfig) -> None:
     needed = 2 * (abs(config.robot.lateral_offset_m) + config.robot.weave_m + 0.1)
     if config.plan.width_m < needed:
         raise ValueError(f"plan.width_m is {config.plan.width_m}: the robot's path needs {needed:.2f}")
+    if config.sensor.readout_s > config.robot.frame_s:
+        raise ValueError(f"sensor.readout_s is {config.sensor.readout_s}: needs at most robot.frame_s")
+    make_ramp(config.plan)
 
 
 def plan_of(config: CorridorConfig) -> Plan:
@@ -92,7 +96,7 @@ class Recording:
 
     Attributes:
       timestamps: s.
-      world_from_base: the truth.
+      world_from_base: the truth; tilted and raised on a ramp.
       odom_from_base: what the wheels counted; starts at the identity.
       camera: float32.
       frame: index -> (RGB, depth in mm with 0 = missing); safe to call from several threads.
@@ -109,15 +113,6 @@ class Recording:
     def __len__(self) -> int:
         """Returns the number of frames."""
         return len(self.timestamps)
-
-
-def planar(poses: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 4 4"]:
-    """(x, y, heading) as matrices."""
-    matrices = np.tile(np.eye(4), (len(poses), 1, 1))
-    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 0], matrices[:, 1, 1] = c, -s, s, c
-    matrices[:, :2, 3] = poses[:, :2]
-    return matrices
 
 
 def lights(config: CorridorConfig, rng: np.random.Generator) -> Light:
@@ -144,7 +139,7 @@ _see = jax.jit(render)
 
 @jax.jit
 def _see_blurred(
-    scene: Scene, camera: Camera, world_from_base: Float[Array, "K 4 4"], light: Light, passing: Passers
+    scene: Scene, camera: Camera, world_from_base: Float[Array, "K *H 4 4"], light: Light, passing: Passers
 ) -> tuple[Float[Array, "H W 3"], Float[Array, "H W"]]:
     """Mean radiance over the poses of an open shutter; the depth is that of the middle one."""
     radiance, depth_m = jax.lax.map(lambda pose: render(scene, camera, pose, light, passing), world_from_base)
@@ -166,8 +161,23 @@ def _expose(
     return image, sensor.depth_image(depth_m, config, key=depth_key)
 
 
+def moments(poses: Float[np.ndarray, "N 3"], i: int, height: int, config: CorridorConfig) -> Float[np.ndarray, "*s 3"]:
+    """Poses from which frame i is seen: one a moment of an open shutter, one a row of a rolling one.
+
+    They lie on the straight line of the velocity between the frames before and after.
+    """
+    times = np.zeros(())
+    if config.sensor.shutter_s > 0:
+        times = config.sensor.shutter_s / config.robot.frame_s * np.linspace(-0.5, 0.5, SHUTTER_TAPS)
+    if config.sensor.readout_s > 0:
+        rows = config.sensor.readout_s / config.robot.frame_s * np.linspace(-0.5, 0.5, height)
+        times = times[..., None] + rows
+    velocity = (poses[min(i + 1, len(poses) - 1)] - poses[max(i - 1, 0)]) / 2
+    return poses[i] + times[..., None] * velocity
+
+
 def check_inside(config: CorridorConfig, plan: Plan, poses: Float[np.ndarray, "N 3"]) -> None:
-    """Raises ValueError where robot or camera would be outside the corridors."""
+    """Raises ValueError where robot or camera would be outside the corridors, or the camera in the ramp's floor."""
     x_m = carried(config.camera).x_m
     points = poses[:, :2] + x_m * np.stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])], axis=1)
     # Within the robot's half width of a wall at its wheels; the camera may come closer in a turn.
@@ -178,6 +188,15 @@ def check_inside(config: CorridorConfig, plan: Plan, poses: Float[np.ndarray, "N
             f"robot.route is {config.robot.route!r}: leaves the corridors at ({x:.1f}, {y:.1f}); "
             "correct it, plan.corridors or robot.lateral_offset_m"
         )
+    ramp = make_ramp(config.plan)
+    if ramp is not None:
+        x, y, z, _ = np.moveaxis(stand(poses, ramp) @ np.array([x_m, 0.0, carried(config.camera).height_m, 1.0]), -1, 0)
+        above = z - ramp.height(x, y)
+        if not (above.min() > 0.01 and above.max() < CEILING_M - 0.01):
+            raise ValueError(
+                f"plan.ramp_deg is {config.plan.ramp_deg}: the camera is {above.min():.2f} to {above.max():.2f} m "
+                f"above the floor, needs 0.01 to {CEILING_M - 0.01:.2f}; correct it or camera.height_m"
+            )
 
 
 def record(config: CorridorConfig, photographs: Float[np.ndarray, "N n n 3"] | None = None) -> Recording:
@@ -196,26 +215,23 @@ def record(config: CorridorConfig, photographs: Float[np.ndarray, "N n n 3"] | N
     poses, passes = robot.drive(config.robot, rng)
     plan = plan_of(config)
     check_inside(config, plan, poses)
-    odometry = robot.wheel_odometry(poses, config.robot, rng)
+    ramp = make_ramp(config.plan)
+    heights = None if ramp is None else ramp.height(poses[:, 0], poses[:, 1])
+    odometry = robot.wheel_odometry(poses, config.robot, rng, heights)
     exposure = np.exp(rng.normal(0.0, 0.03, len(poses))).astype(np.float32)
-    world_from_base = planar(poses)
+    world_from_base = stand(poses, ramp)
     camera, of_pass = make_camera(config.camera), lights(config, rng)
     furniture, paints = furnish(plan, config.landmarks_per_m, rng)
     walks = passers.plan_walks(poses, config.robot.frame_s, config.plan.width_m / 2, config.passers, rng)
     floor = atlas.floor_of(plan, config.floor, key=floor_key, photographs=photographs)
-    scene = make_scene(plan, floor, config.plan.door_spacing_m, furniture, paints)
-    shift = config.sensor.shutter_s / config.robot.frame_s * np.linspace(-0.5, 0.5, SHUTTER_TAPS)
+    scene = make_scene(plan, floor, config.plan.door_spacing_m, furniture, paints, ramp)
 
     def frame(i: int) -> Frame:
         light = jax.tree.map(lambda leaf: leaf[int(passes[i])], of_pass)
         passing = passers.at_frame(walks, poses, i)
-        if config.sensor.shutter_s > 0:
-            velocity = (poses[min(i + 1, len(poses) - 1)] - poses[max(i - 1, 0)]) / 2
-            moments = planar(poses[i] + shift[:, None] * velocity)
-            radiance, depth_m = _see_blurred(scene, camera, jnp.asarray(moments, jnp.float32), light, passing)
-        else:
-            pose = jnp.asarray(world_from_base[i], jnp.float32)
-            radiance, depth_m = _see(scene, camera, pose, light, passing)
+        see = _see_blurred if config.sensor.shutter_s > 0 else _see
+        seen_from = jnp.asarray(stand(moments(poses, i, camera.height, config), ramp), jnp.float32)
+        radiance, depth_m = see(scene, camera, seen_from, light, passing)
         key = jax.random.fold_in(image_key, i)
         image, depth = _expose(radiance, depth_m, jnp.asarray(exposure[i]), camera, config.sensor, key=key)
         return np.asarray(image), np.asarray(depth)
@@ -223,4 +239,4 @@ def record(config: CorridorConfig, photographs: Float[np.ndarray, "N n n 3"] | N
     # Compiled here, once, so that threads need not race to do it.
     frame(0)
     timestamps = 1000.0 + config.robot.frame_s * np.arange(len(poses))
-    return Recording(timestamps, world_from_base, planar(odometry), camera, frame, scene)
+    return Recording(timestamps, world_from_base, stand(odometry, None), camera, frame, scene)

@@ -37,6 +37,16 @@ def test_passers_walk_ahead_between_the_walls():
     assert len(shapes) == 1
 
 
+def test_passers_stay_ahead_of_a_robot_that_backs_away():
+    poses, passes = drive(replace(RobotConfig(), distance_m=40.0, reverse=True), np.random.default_rng(0))
+    met = plan_walks(poses, 0.5, 1.2, PassersConfig(share=0.5), np.random.default_rng(0))
+    back = [walk for walk in met if passes[walk.first] == 1]
+    assert back and all(np.all((walk.ahead_m > 0.6) & (walk.ahead_m < 8)) for walk in back)
+    # Who follows is left behind no longer: the robot comes away from everybody.
+    followers = [walk for walk in back if walk.ahead_m[0] < 2 and len(walk.ahead_m) > 2]
+    assert followers and all(np.all(np.diff(walk.ahead_m) > 0.5) for walk in followers)
+
+
 def test_nobody_costs_nothing():
     assert walks(0.0) == [] and len(at_frame([], POSES, 0).boxes.centres) == 0
 

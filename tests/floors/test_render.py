@@ -130,6 +130,23 @@ def test_a_batch_is_the_frames_one_by_one(ramps):
             np.testing.assert_allclose(batched[i], single, atol=1e-9)
 
 
+def test_each_row_is_seen_from_its_own_pose(ramps):
+    cam = camera(scale=16)
+    poses = [pose(1.0 + 0.01 * k, 0.2, 0.1 + 0.005 * k) for k in range(cam.height)]
+    rolling = render(ramps, cam, jnp.stack(poses), FLAT)
+    for k in (0, 7, cam.height // 2, cam.height - 1):
+        for whole, row in zip(render(ramps, cam, poses[k], FLAT), rolling, strict=True):
+            np.testing.assert_allclose(row[k], whole[k], atol=1e-9)
+
+
+def test_daylight_reaches_a_limit(ramps):
+    sloped = replace(FLAT, slope=jnp.array([0.02, 0.0]))
+    floor = replace(ramps.floor, origins=ramps.floor.origins + jnp.array([[500.0, 0.0]]))
+    far = replace(ramps, floor=floor, walls=ramps.walls + jnp.array([[[500.0, 0.0]]]))
+    plain, lit = (render(far, camera(scale=16), pose(503.0, 0.0, 0.0), light)[0] for light in (FLAT, sloped))
+    np.testing.assert_allclose(lit[20:], (1 + 0.02 * 60) * plain[20:])
+
+
 def test_leaning_pile_is_bright_from_one_side_and_dark_from_the_other():
     shape = round(WIDTH / TEXEL), round((X_MAX - X_MIN) / TEXEL)
     pile = np.concatenate([np.full((*shape, 3), 0.5), np.full((*shape, 1), 0.3), np.zeros((*shape, 1))], axis=-1)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ebjax.evaluation.trajectory import align_se2
-from ebjax.floors.robot import WHEELS, RobotConfig, check, drive, route, wheel_odometry
+from ebjax.floors.robot import WHEELS, RobotConfig, check, drive, route, step_signs, wheel_odometry
 
 PERFECT = replace(RobotConfig(), drift=0.0)
 BENT = replace(RobotConfig(), route="0 0, 8 0, 8 6, 8 0, 12 0", passes=3)
@@ -24,7 +24,7 @@ def test_path_goes_out_turns_and_comes_back_beside_itself():
     assert set(passes) == {0, 1} and np.all(np.diff(passes) >= 0)
 
 
-@pytest.mark.parametrize("config", [RobotConfig(), BENT])
+@pytest.mark.parametrize("config", [RobotConfig(), BENT, replace(BENT, reverse=True)])
 def test_wheels_never_slip_sideways(config):
     poses, _ = drive(replace(config, step_m=0.01, turn_step_deg=1.0), np.random.default_rng(1))
     step, middle = np.diff(poses, axis=0), (poses[1:, 2] + poses[:-1, 2]) / 2
@@ -41,13 +41,53 @@ def test_a_route_is_driven_with_its_bends_and_reversals_in_every_pass():
     assert np.hypot(*np.diff(poses[:, :2], axis=0).T).max() < 0.26
 
 
+def test_in_reverse_the_way_back_is_driven_without_turning_round():
+    forth, _ = drive(RobotConfig(), np.random.default_rng(0))
+    poses, passes = drive(replace(RobotConfig(), reverse=True), np.random.default_rng(0))
+    assert np.degrees(np.abs(poses[:, 2])).max() < 20 and np.hypot(*np.diff(poses[:, :2], axis=0).T).max() < 0.27
+    assert np.all(step_signs(poses)[passes[1:] == 0] == 1) and np.all(step_signs(poses)[passes[1:] == 1] == -1)
+    # Both go back the same way.
+    np.testing.assert_allclose(poses[passes == 1][-20:, :2], forth[-20:, :2], atol=1e-9)
+    np.testing.assert_allclose(np.abs(poses[passes == 1][-20:, 2] - forth[-20:, 2]), np.pi)
+    bent, _ = drive(replace(BENT, reverse=True), np.random.default_rng(0))
+    assert np.degrees(np.abs(np.diff(bent[:, 2]))).max() < BENT.turn_step_deg + 1
+
+
+def test_backwards_wheels_count_back():
+    config = replace(RobotConfig(), reverse=True, lateral_offset_m=0.0, weave_m=0.0, drift=0.0)
+    poses, _ = drive(config, np.random.default_rng(0))
+    counted = wheel_odometry(poses, config, np.random.default_rng(0))
+    assert counted[:, 0].max() == pytest.approx(10.0) and np.abs(counted[-1]).max() < 1e-9
+    # A wheel that is too large counts too much both ways, and its turn comes undone.
+    biased = wheel_odometry(poses, replace(config, drift=1.0, wheels="mobilesim"), np.random.default_rng(0))
+    assert abs(biased[:, 0].max() - 10) > 1e-3 and np.abs(biased[-1]).max() < 1e-9
+
+
+@pytest.mark.parametrize("wheels", WHEELS)
+def test_standing_counts_nothing(wheels):
+    config = replace(RobotConfig(), stops=4, wheels=wheels)
+    poses, _ = drive(config, np.random.default_rng(0))
+    stands = np.all(np.diff(poses, axis=0) == 0, axis=1)
+    assert stands.sum() == 12
+    counted = np.diff(wheel_odometry(poses, config, np.random.default_rng(0)), axis=0)
+    assert np.all(counted[stands] == 0) and np.all(np.abs(counted[~stands]).max(axis=1) > 0)
+
+
+def test_wheels_count_what_they_roll_up_a_ramp():
+    poses, _ = drive(PERFECT, np.random.default_rng(0))
+    level = wheel_odometry(poses, PERFECT, np.random.default_rng(0))
+    steep = wheel_odometry(poses, PERFECT, np.random.default_rng(0), 0.75 * poses[:, 0])
+    straight = slice(15, 25)
+    np.testing.assert_allclose(np.diff(steep[straight, 0]), 1.25 * np.diff(level[straight, 0]), rtol=1e-3)
+
+
 def test_stops_repeat_a_pose():
     moving, standing = (drive(replace(RobotConfig(), stops=n), np.random.default_rng(0))[0] for n in (0, 3))
     assert len(standing) == len(moving) + 9
     assert np.sum(np.all(np.diff(standing, axis=0) == 0, axis=1)) == 9
 
 
-@pytest.mark.parametrize("config", [PERFECT, replace(BENT, drift=0.0)])
+@pytest.mark.parametrize("config", [PERFECT, replace(BENT, drift=0.0), replace(BENT, drift=0.0, reverse=True)])
 def test_perfect_wheels_count_the_truth_from_the_first_pose(config):
     poses, _ = drive(replace(config, step_m=0.02, turn_step_deg=2.0), np.random.default_rng(2))
     counted = wheel_odometry(poses, config, np.random.default_rng(3))

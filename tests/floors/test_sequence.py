@@ -14,7 +14,7 @@ from ebjax.floors.passers import PassersConfig
 from ebjax.floors.plan import PlanConfig
 from ebjax.floors.robot import RobotConfig, drive
 from ebjax.floors.sensor import SensorConfig
-from ebjax.floors.sequence import CorridorConfig, check, check_inside, plan_of, record
+from ebjax.floors.sequence import CorridorConfig, check, check_inside, moments, plan_of, record
 from ebjax.floors.surface import FloorConfig
 from ebjax.io.sequence import read_sequence
 
@@ -56,6 +56,37 @@ def test_the_command_writes_the_same_files_for_the_same_seed(written, tmp_path, 
     files = sorted(p.relative_to(written) for p in written.rglob("*") if p.is_file())
     assert len(files) == 2 * 8 + 6
     assert all((written / f).read_bytes() == (out / f).read_bytes() for f in files)
+
+
+def test_a_rolling_shutter_skews_what_the_robot_turns_past(recording):
+    rolling = record(replace(SMALL, sensor=SensorConfig(readout_s=0.1)))
+    turns = int(np.argmax(np.abs(np.diff(recording.world_from_base[:, 0, 0])))) + 1
+    (still, _), (skewed, _) = (run.frame(turns) for run in (recording, rolling))
+    differs = np.abs(still.astype(int) - skewed).mean(axis=(1, 2))
+    assert differs[[0, -1]].min() > 3 * differs[len(differs) // 2] and differs.max() > 3
+    assert np.all(rolling.world_from_base == recording.world_from_base)
+
+
+def test_moments_lie_around_the_frame_and_reach_over_the_readout():
+    config = replace(SMALL, sensor=SensorConfig(readout_s=0.05, shutter_s=0.02))
+    poses = np.stack([np.arange(5.0), np.zeros(5), 0.2 * np.arange(5)], axis=1)
+    at = moments(poses, 2, 61, config)
+    assert at.shape == (3, 61, 3)
+    np.testing.assert_allclose(at[1, 30], poses[2])
+    np.testing.assert_allclose(at[1, -1] - at[1, 0], [0.1, 0, 0.02])
+    np.testing.assert_allclose(at[2, 5] - at[0, 5], [0.04, 0, 0.008])
+    assert np.all(moments(poses, 2, 61, SMALL) == poses[2])
+
+
+def test_on_a_ramp_the_truth_climbs_and_pitches(tmp_path):
+    config = replace(SMALL, plan=PlanConfig(ramp="0.3 0, 0.8 0", ramp_deg=10.0))
+    run, level = record(config), record(SMALL)
+    top = 0.5 * np.tan(np.radians(10))
+    np.testing.assert_allclose(run.world_from_base[[0, 2], 2, 3], [0, top], atol=1e-9)
+    assert run.world_from_base[1, 2, 0] > 0.1 and np.all(run.odom_from_base[:, 2, 3] == 0)
+    np.testing.assert_allclose(run.world_from_base[:, :2, 3], level.world_from_base[:, :2, 3])
+    assert np.hypot(*run.odom_from_base[2, :2, 3]) > np.hypot(*level.odom_from_base[2, :2, 3]) + 0.004
+    assert np.abs(run.frame(0)[0].astype(int) - level.frame(0)[0]).mean() > 3
 
 
 def test_another_seed_is_another_run(recording):
@@ -119,6 +150,16 @@ def test_everything_at_once_is_a_function_of_the_seed():
         (replace(SMALL, robot=replace(SMALL.robot, step_m=float("nan"))), "robot.step_m"),
         (replace(SMALL, passers=PassersConfig(share=1.5)), "passers.share"),
         (replace(SMALL, sensor=SensorConfig(shutter_s=-1.0)), "sensor.shutter_s"),
+        (replace(SMALL, sensor=SensorConfig(readout_s=-1.0)), "sensor.readout_s"),
+        (replace(SMALL, sensor=SensorConfig(readout_s=0.6)), "sensor.readout_s"),
+        (replace(SMALL, plan=PlanConfig(ramp="1 0", ramp_deg=5.0)), "plan.ramp"),
+        (replace(SMALL, plan=PlanConfig(ramp="0 0, 1 0", ramp_deg=25.0)), "plan.ramp_deg"),
+        (
+            replace(
+                SMALL, plan=PlanConfig(ramp="0.1 0, 0.8 0", ramp_deg=9.0), camera=replace(SMALL.camera, height_m=0.02)
+            ),
+            "plan.ramp_deg",
+        ),
     ],
 )
 def test_bad_values_name_their_key_and_write_nothing(config, key, tmp_path):
