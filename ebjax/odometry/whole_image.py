@@ -25,8 +25,8 @@ FEWEST_ROTATION = 25
 WEAK = 1e-3
 """Information that keeps what no match tells from running away, 1 / m^2 and 1 / rad^2."""
 MOST_SIGMA_RAD = 0.01
-INFLATION = (1.2, 50.0)
-"""The covariance times 1.2 + 50 / inliers: neighbours share their errors, and among few one wrong match tells."""
+INFLATION = (1.2, 80.0)
+"""The covariance times 1.2 + 80 / inliers: neighbours share their errors, and among few one wrong match tells."""
 SHARED_SIGMA = (0.0003, 0.0003, 0.00007)
 """Standard deviation that all matches share: x m, y m, heading rad."""
 
