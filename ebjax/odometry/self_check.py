@@ -54,7 +54,7 @@ def measured_scale(wrong: Systematic, errors: WheelErrors) -> tuple[float, float
     """The floor's metres per metre of the wheels without what was expected of it, and its standard deviation."""
     expected, both = errors.scale_sigma**-2, wrong.sigma[0] ** -2
     own = both - expected
-    if own < 0.05 * expected:
+    if own < 1e-3 * expected:
         return 1.0, float("inf")
     return 1 + (wrong.scale - 1) * both / own, own**-0.5
 
