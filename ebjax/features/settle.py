@@ -23,6 +23,7 @@ from ebjax.features.measure import LoopMeasurement
 from ebjax.features.verify import Verified
 from ebjax.geometry.camera import Camera, backproject, image_from_floor
 from ebjax.geometry.homography import apply
+from ebjax.geometry.rigid import kabsch
 
 VIEW_M = 0.001
 """Standard deviation of a corner in a floor view of 1 cm a pixel, m."""
@@ -98,8 +99,17 @@ def depth_motion(
     deep = matches.matched & (matches.points_i[:, 2] > 0) & (matches.points_j[:, 2] > 0)
     ends = matches.points_i, matches.points_j
     i, j = (points @ pose[:2, :3].T + pose[None, :2, 3] for points in ends)
+    # A wrong height scales what RANSAC found on the floor; its inliers say where depth has the same motion.
+    (floor_i, _), (floor_j, _) = on_floor(matches.pixels_i, camera), on_floor(matches.pixels_j, camera)
+    c, s = jnp.cos(matches.start[2]), jnp.sin(matches.start[2])
+    turn = jnp.stack([jnp.stack([c, -s]), jnp.stack([s, c])])
+    off = floor_i - (floor_j @ turn.T + matches.start[None, :2])
+    near = (deep & (jnp.sum(off**2, axis=1) < jnp.asarray(tolerance_m) ** 2)).astype(i.dtype)
+    rotation, shift = kabsch(j, i, near)
+    begin = jnp.append(shift, jnp.arctan2(rotation[1, 0], rotation[0, 0]))
+    begin = jnp.where(near.sum() >= 3, begin, matches.start)
     variance = sum(VIEW_M**2 + (DEPTH_PER_M * points[:, 2] ** 2) ** 2 for points in ends)
-    return settle(i, j, jnp.asarray(variance), deep, matches.start, tolerance_m), deep
+    return settle(i, j, jnp.asarray(variance), deep, begin, tolerance_m), deep
 
 
 def settle(
