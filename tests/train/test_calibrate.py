@@ -97,8 +97,10 @@ def test_a_run_that_stands_still_is_refused(sequence, tmp_path):
 
 
 def test_odometry_of_another_run_is_refused(sequence, tmp_path):
-    lines = [line.split() for line in (sequence / "odometry.txt").read_text().splitlines() if line[0] != "#"]
-    backwards = [" ".join([line[0], f"{-float(line[1]):.6f}", *line[2:]]) for line in lines]
-    (sequence / "odometry.txt").write_text("\n".join(backwards) + "\n")
+    heading = 0.1 * np.arange(len(WAY))
+    x, y = np.cumsum(0.15 * np.cos(heading)), np.cumsum(0.15 * np.sin(heading))
+    zero = np.zeros_like(x)
+    rows = np.stack([0.2 * np.arange(len(x)), x, y, zero, zero, zero, np.sin(heading / 2), np.cos(heading / 2)], 1)
+    np.savetxt(sequence / "odometry.txt", rows, fmt="%.6f")
     with pytest.raises(ValueError, match="agree with odometry"):
         run(dataclasses.replace(OFF, sequence=sequence), tmp_path / "out", resume=False)
