@@ -34,7 +34,7 @@ class Loops(NamedTuple):
 
 def consistent_set(
     odometry_poses: Float[Array | np.ndarray, "N P"],
-    steps: Float[Array | np.ndarray, "M d d"] | Float[Array | np.ndarray, "M d"] | Sequence[float],
+    steps: Float[Array | np.ndarray, "M d d"] | Float[Array | np.ndarray, "*n d"] | Sequence[float],
     i: Int[Array | np.ndarray, " K"],
     j: Int[Array | np.ndarray, " K"],
     i_from_j: Float[Array | np.ndarray, "K P"],
