@@ -186,14 +186,14 @@ def conclude(
             floor, count, keyframes.frames, times, wheels, camera, keyframes.load, config.errors, keyframes.ignored
         )
     steps = joined([floor, bridged])
-    if wheels is not None:
-        steps = without_body(steps, wheels, keyframes.views, config.errors)
-        steps = without_contradiction(steps, wheels, config.errors)
     offset, wrong = TimeOffset(), None
     if wheels is not None and wheels_at is not None:
         if config.estimate_offset:
             offset = offset_of(steps, wheels_at, config.errors)
             wheels = wheels_at(offset.offset_s)
+        # Only wheels at the images' own times can contradict them.
+        steps = without_body(steps, wheels, keyframes.views, config.errors)
+        steps = without_contradiction(steps, wheels, config.errors)
         wrong = systematic_of(steps, wheels, times, config.errors)
     settled = fuse(steps, count, times, wheels, wrong, config.errors)
     return Motion(
