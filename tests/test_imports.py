@@ -19,7 +19,7 @@ MAY_IMPORT = {
     "slam": {"geometry", "models", "views", "places", "features", "posegraph", "odometry", "floors"},
     "evaluation": set(),
     "io": set(),
-    "viz": {"geometry", "io", "evaluation", "features", "views", "odometry", "posegraph", "slam"},
+    "viz": {"geometry", "io", "evaluation", "features", "views", "places", "odometry", "posegraph", "slam"},
     # The paper's experiments: every room put to work, as only commands do otherwise. No room imports it.
     "paper": {*NUMERICAL, "evaluation", "io", "viz", "config", "command"},
     # Training puts every room to work too; only its own command imports it.

@@ -1,5 +1,6 @@
 """Verification of many pairs of described frames, a block a call: one program for all of a process."""
 
+from collections.abc import Callable
 from functools import partial
 
 import jax
@@ -35,7 +36,7 @@ def _block(query: Landmarks, reference: Landmarks, keys, camera: Camera, toleran
 
 
 def verify_blocks(
-    pick,
+    pick: Callable[..., tuple[Landmarks, Landmarks]],
     camera: Camera,
     i: Int[np.ndarray, " K"],
     j: Int[np.ndarray, " K"],

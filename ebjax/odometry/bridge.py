@@ -6,7 +6,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ebjax.geometry.camera import Camera
-from ebjax.geometry.planar import between, inverse, inverse_covariance
+from ebjax.geometry.planar import between, chained, inverse, inverse_covariance
+from ebjax.odometry.chain import carried_on
 from ebjax.odometry.steps import USED, Steps
 from ebjax.odometry.wheels import WheelErrors
 from ebjax.odometry.whole_image import image_features, measure_motion
@@ -42,7 +43,9 @@ def bridge(
     known = np.zeros(count, bool)
     first = steps.used & (steps.i - steps.j == 1)
     known[steps.i[first]] = True
-    speeds = _speeds(steps, first, times, count)
+    moved = np.zeros((count - 1, 3))
+    moved[steps.j[first]] = inverse(steps.i_from_j[first])
+    moved = carried_on(moved, known[1:], times)
     looked: dict[int, tuple | None] = {}
     rows: list[tuple] = []
     seen = None if ignored is None else ~ignored
@@ -64,8 +67,7 @@ def bridge(
             sigma = errors.step_sigmas(wheels[[j, k]])[0]
             wide = inverse_covariance(inverse(guess), np.diag(sigma**2))
         else:
-            moved = np.concatenate([speeds[j:k], [[0.0, 0.0, 0.0]]])[: k - j]
-            guess = inverse(np.array([moved[:, 0].sum(), moved[:, 1].sum(), moved[:, 2].sum()]))
+            guess = inverse(chained(moved[j:k])[-1])
             length = float(np.hypot(*guess[:2]))
             wide = np.diag([(0.3 * length + 0.03) ** 2] * 2 + [0.3**2])
         found = measure_motion(a[0], b[0], camera, a[1], b[1], (guess, wide))
@@ -87,17 +89,3 @@ def bridge(
     columns = [list(column) for column in zip(*rows, strict=True)]
     types = (int, int, object, int, int, float, float, object)
     return Steps(*(np.array(column, dtype) for column, dtype in zip(columns, types, strict=True)))
-
-
-def _speeds(steps: Steps, first: Bool[np.ndarray, " K"], times: Float[np.ndarray, " N"], count: int) -> np.ndarray:
-    """The motion of each step, earlier_from_later: as measured, or at the speed of the neighbours."""
-    moved = np.zeros((count - 1, 3))
-    known = np.zeros(count - 1, bool)
-    moved[steps.j[first]] = inverse(steps.i_from_j[first])
-    known[steps.j[first]] = True
-    if known.any() and not known.all():
-        seconds, middle = np.diff(times), (times[1:] + times[:-1]) / 2
-        for axis in range(3):
-            speed = np.interp(middle, middle[known], moved[known, axis] / seconds[known])
-            moved[~known, axis] = (speed * seconds)[~known]
-    return moved

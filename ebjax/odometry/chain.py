@@ -114,3 +114,21 @@ def settle_chain(
         weights = new
     counts = squared(every, poses) <= LIMIT
     return poses, (counts | ~doubted)[: len(edges.i)]
+
+
+def carried_on(
+    moved: Float[np.ndarray, "M 3"], known: Bool[np.ndarray, " M"], times: Float[np.ndarray, " N"]
+) -> Float[np.ndarray, "M 3"]:
+    """Steps of which some are not known: these go on at the speed of those around them.
+
+    Args:
+      moved: earlier_from_later of each of the M = N - 1 steps.
+      known: which hold; the others may be anything. Where none does, all stay as they are.
+      times: of the N poses, s.
+    """
+    if not known.any() or known.all():
+        return moved
+    seconds, middle = np.diff(times), (times[1:] + times[:-1]) / 2
+    speed = moved / seconds[:, None]
+    filled = np.stack([np.interp(middle, middle[known], speed[known, axis]) for axis in range(3)], 1)
+    return np.where(known[:, None], moved, filled * seconds[:, None])

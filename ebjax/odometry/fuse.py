@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ebjax.geometry.planar import adjoint, between, chained, compose, inverse, log
-from ebjax.odometry.chain import CARRIED_M, CARRIED_RAD, Edges, settle_chain
+from ebjax.odometry.chain import CARRIED_M, CARRIED_RAD, Edges, carried_on, settle_chain
 from ebjax.odometry.steps import Steps
 from ebjax.odometry.wheels import Systematic, WheelErrors, corrected
 
@@ -60,7 +60,8 @@ def fuse(
     if wheels is not None:
         first = first[steps.kind[first] != "rotation"]
     start[steps.j[first]] = inverse(steps.i_from_j[first])
-    start = _carry_gaps(start, steps, wheels, times, count)
+    if wheels is None:
+        start = carried_on(start, np.isin(rows, steps.j[first]), times)
     edges = Edges(*(np.concatenate(column) for column in zip(*parts, strict=True)))
     poses, counts = settle_chain(edges, chained(start))
     steps = steps.refuse(np.isin(np.arange(len(steps.i)), used[~counts[: len(used)]]), CONTRADICTED)
@@ -93,23 +94,6 @@ def _information(steps: Steps, rows: Int[np.ndarray, " K"]) -> Float[np.ndarray,
     information[alone] = np.diag([CARRIED_M**-2, CARRIED_M**-2, 0.0])
     information[alone, 2, 2] = 1 / wide[alone, 2, 2]
     return information
-
-
-def _carry_gaps(start, steps: Steps, wheels, times, count: int) -> Float[np.ndarray, "M 3"]:
-    """Without wheels, a step that nothing measured goes on at the speed of its neighbours."""
-    if wheels is not None:
-        return start
-    known = np.zeros(count - 1, bool)
-    first = steps.consecutive()
-    known[steps.j[first]] = True
-    if known.all() or not known.any():
-        return start
-    seconds = np.diff(times)
-    middle = (times[1:] + times[:-1]) / 2
-    for axis in range(3):
-        speed = np.interp(middle, middle[known], start[known, axis] / seconds[known])
-        start[~known, axis] = speed[~known] * seconds[~known]
-    return start
 
 
 def _one_edge_a_step(steps: Steps, near, wheels: Edges | None, believed, poses) -> tuple[Edges, Bool[np.ndarray, " M"]]:

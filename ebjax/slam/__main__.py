@@ -8,14 +8,14 @@ import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import jax.numpy as jnp
 import numpy as np
 import tyro
 
 from ebjax.command import dump_config, progress, run
-from ebjax.evaluation.run import closure_errors, closure_summary, drift, reason_counts, spread_rows, trajectory_errors
+from ebjax.evaluation.run import spread_rows
 from ebjax.features.landmarks import floor_error_m
 from ebjax.floors.__main__ import render_sequence
 from ebjax.floors.sequence import CorridorConfig
@@ -26,20 +26,17 @@ from ebjax.io.camera_file import read_camera
 from ebjax.io.mask import alpha_mask, read_mask
 from ebjax.io.sequence import BrokenFrame, Sequence, read_sequence
 from ebjax.io.timed_poses import MAX_GAP_S
-from ebjax.places.recall import facing_pairs, precision_100, recall_at_1
 from ebjax.slam.pipeline import PipelineConfig, Remember, Result
 from ebjax.slam.pipeline import run as run_pipeline
 from ebjax.slam.select import SelectConfig
-from ebjax.slam.why import why_nothing
 from ebjax.slam.world import planar
 from ebjax.views.depth_floor import camera_from_depth
 from ebjax.views.run_view import RunView, choose_floor, from_camera, from_quad, without
 from ebjax.views.static_pixels import spread, static_pixels
-from ebjax.viz.motion import motion_lines, motion_metrics
 from ebjax.viz.run_folder import write_run
+from ebjax.viz.run_metrics import run_metrics, summary_lines
 
 Quad = tuple[float, float, float, float, float, float, float, float]
-PAPER_RADIUS = 1 / 15
 
 
 @dataclasses.dataclass(frozen=True)
@@ -166,7 +163,7 @@ def main(config: Config) -> None:
     check_images(config, sequence, frames, result)
     if result.motion is not None and result.motion.offset.offset_s:
         sequence = sequence.at_offset(result.motion.offset.offset_s)
-    metrics = run_metrics(sequence, frames, result, result.view.centre_m)
+    metrics = run_metrics(sequence, frames.broken, result)
     metrics["seconds"] = {name: round(value, 3) for name, value in result.seconds.items()}
     metrics["ms_per_frame"] = round(1e3 * sum(result.seconds.values()) / len(sequence), 2)
     metrics["seconds"]["total"] = round(time.perf_counter() - started, 3)
@@ -174,7 +171,12 @@ def main(config: Config) -> None:
     with whole_folder(config.out) as folder:
         write_run(folder, sequence, frames.load, result, metrics, config.map_metres_per_px)
         dump_config(config, folder / "config.yaml")
-    print_summary(config, metrics)
+    print("\n".join(summary_lines(metrics)))
+    for line in (metrics["motion"] or {}).get("warnings", ()):
+        print(f"warning: {line}", file=sys.stderr)
+    steps = "" if metrics["motion"] is None else "steps.csv, "
+    names = f"report.html, trajectory.tum, {steps}loop_closures.csv, pose_graph.g2o, metrics.json, floor_map.png"
+    print(f"{config.out}: {names}")
 
 
 def run_view(config: Config, ignored: np.ndarray | None, camera: Camera) -> RunView:
@@ -277,93 +279,6 @@ def check_images(config: Config, sequence: Sequence, frames: Frames, result: Res
             "correct camera.json, or try --floor depth",
             file=sys.stderr,
         )
-
-
-def run_metrics(sequence: Sequence, frames: Frames, result: Result, centre_m: np.ndarray) -> dict[str, Any]:
-    """What metrics.json says, times apart."""
-    candidates, kept = result.candidates, result.kept
-    before = result.path.everywhere(result.path.poses)
-    wheels = before if sequence.odom_from_base is None else planar(sequence.odom_from_base)
-    travelled = float(np.linalg.norm(np.diff(wheels[:, :2], axis=0), axis=1).sum())
-    metrics: dict[str, Any] = {
-        "sequence": str(sequence.path),
-        "frames": len(sequence),
-        "keyframes": len(result.keyframes),
-        "travelled_m": round(travelled, 3),
-        "broken_frames": frames.broken,
-        "frames_without_odometry": dict(sequence.dropped),
-        "candidates": len(candidates.i),
-        "closures_kept": int(kept.sum()),
-        "closures_opposing": int((kept & candidates.opposing).sum()),
-        "closures_by_depth": int((kept & result.by_depth).sum()),
-        "reasons": reason_counts(result.reasons),
-        "nothing_kept": None if kept.any() else why_nothing(result.reasons, len(candidates.i)),
-        "motion": None if result.motion is None else motion_metrics(result.motion),
-        "pose_graph": {
-            "cost_before": float(result.solution.initial_cost),
-            "cost_after": float(result.solution.cost),
-            "iterations": int(result.solution.iterations),
-            "converged": int(result.solution.status) == 0,
-        },
-    }
-    if sequence.world_from_base is None:
-        return metrics
-    truth = planar(sequence.world_from_base)
-    metrics |= trajectory_errors(truth, wheels, result.poses)
-    if result.motion is not None:
-        metrics |= {"drift": drift(truth, before)}
-    errors = closure_errors(truth[candidates.i], truth[candidates.j], candidates.i_from_j)
-    metrics |= closure_summary(errors, kept)
-    valid, opposing, distance = (
-        np.asarray(column)[:, 0] for column in (result.ranked.valid, result.ranked.opposing, result.ranked.distance)
-    )
-    first = np.where(valid, np.asarray(result.ranked.j)[:, 0], -1)
-    for name, radius in (("1m", 1.0), ("0.3m", 0.3), ("paper", travelled * PAPER_RADIUS)):
-        pairs = facing_pairs(truth[result.keyframes], centre_m, radius)
-        share, queries = recall_at_1(first, opposing, pairs)
-        key = "paper_recall" if name == "paper" else f"recall_at_1_{name}"
-        metrics[key] = share
-        metrics[f"{key}_queries"] = queries
-        metrics[f"{key}_radius_m"] = round(radius, 3)
-        if name == "1m":
-            right = pairs[np.arange(len(first)), np.maximum(first, 0)] & opposing
-            metrics["p100_1m"] = precision_100(-distance[valid].astype(np.float64), right[valid])
-    return metrics
-
-
-def print_summary(config: Config, metrics: dict[str, Any]) -> None:
-    """A few lines: what was found, how good it is, where it is."""
-    for name, why in metrics["broken_frames"].items():
-        print(f"skipped {name}: {why}")
-    if metrics["frames_without_odometry"]:
-        print(f"left out {len(metrics['frames_without_odometry'])} frames without odometry")
-    print(
-        f"{metrics['frames']} frames, {metrics['keyframes']} looked at, {metrics['candidates']} candidates verified, "
-        f"{metrics['closures_kept']} loop closures kept ({metrics['closures_opposing']} from opposing views)"
-    )
-    for line in motion_lines(metrics):
-        print(line)
-    for line in (metrics["motion"] or {}).get("warnings", ()):
-        print(f"warning: {line}", file=sys.stderr)
-    if not metrics["closures_kept"]:
-        print(metrics["nothing_kept"])
-    if truth := metrics.get("closures_against_truth"):
-        print(
-            f"closures within 5 cm and 1 degree of the truth: {truth['within_5cm_1deg']} of {truth['checked']}; "
-            f"worst {truth['position_error_m']['max']:.3f} m, {truth['heading_error_deg']['max']:.2f} deg"
-        )
-    if metrics.get("recall_at_1_1m") is not None:
-        print(
-            f"R@1 m of the first candidate {metrics['recall_at_1_1m']:.3f} over {metrics['recall_at_1_1m_queries']} "
-            f"queries; P100 {metrics['p100_1m']:.3f}"
-        )
-    if error := metrics.get("ate_rmse_m"):
-        print(f"ATE rmse, SE(2)-aligned: {error['before']:.3f} m before, {error['after']:.3f} m after")
-    print(
-        f"{metrics['ms_per_frame']:.1f} ms a frame in the pipeline (compilation included where not cached), "
-        f"{metrics['seconds']['total']:.1f} s in all, peak memory {metrics['peak_memory_mb']:.0f} MB"
-    )
-    print(f"{config.out}: report.html, trajectory.tum, loop_closures.csv, pose_graph.g2o, metrics.json, floor_map.png")
 
 
 if __name__ == "__main__":

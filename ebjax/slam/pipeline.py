@@ -88,7 +88,8 @@ class PipelineConfig:
     kernel_width: float | None = None
     """Width of that kernel, standard deviations; None is 1, and for those that cut off the 99.9 % point."""
     motion: Literal["wheels+floor", "floor", "wheels"] | None = None
-    """What measures the robot's steps; None: wheels+floor where the run has odometry, else floor."""
+    """What measures the robot's steps; None: wheels+floor where the run has odometry, else floor. With wheels alone the
+    camera's mount and the images' clock are taken as they are given."""
     seed: int = 0
     """Of the vocabulary and of RANSAC."""
     select: SelectConfig = dataclasses.field(default_factory=SelectConfig)

@@ -1,0 +1,106 @@
+"""What metrics.json says of a run, and the lines for the terminal."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from ebjax.evaluation.run import closure_errors, closure_summary, drift, reason_counts, trajectory_errors
+from ebjax.io.sequence import Sequence
+from ebjax.places.recall import facing_pairs, precision_100, recall_at_1
+from ebjax.slam.pipeline import Result
+from ebjax.slam.why import why_nothing
+from ebjax.slam.world import planar
+from ebjax.viz.motion import motion_lines, motion_metrics
+
+PAPER_RADIUS = 1 / 15
+
+
+def run_metrics(sequence: Sequence, broken: Mapping[str, str], result: Result) -> dict[str, Any]:
+    """What metrics.json says, times apart."""
+    candidates, kept = result.candidates, result.kept
+    before = result.path.everywhere(result.path.poses)
+    wheels = before if sequence.odom_from_base is None else planar(sequence.odom_from_base)
+    travelled = float(np.linalg.norm(np.diff(wheels[:, :2], axis=0), axis=1).sum())
+    metrics: dict[str, Any] = {
+        "sequence": str(sequence.path),
+        "frames": len(sequence),
+        "keyframes": len(result.keyframes),
+        "travelled_m": round(travelled, 3),
+        "broken_frames": dict(broken),
+        "frames_without_odometry": dict(sequence.dropped),
+        "candidates": len(candidates.i),
+        "closures_kept": int(kept.sum()),
+        "closures_opposing": int((kept & candidates.opposing).sum()),
+        "closures_by_depth": int((kept & result.by_depth).sum()),
+        "reasons": reason_counts(result.reasons),
+        "nothing_kept": None if kept.any() else why_nothing(result.reasons, len(candidates.i)),
+        "motion": None if result.motion is None else motion_metrics(result.motion),
+        "pose_graph": {
+            "cost_before": float(result.solution.initial_cost),
+            "cost_after": float(result.solution.cost),
+            "iterations": int(result.solution.iterations),
+            "converged": int(result.solution.status) == 0,
+        },
+    }
+    if sequence.world_from_base is None:
+        return metrics
+    truth = planar(sequence.world_from_base)
+    metrics |= trajectory_errors(truth, wheels, result.poses)
+    if result.motion is not None:
+        metrics |= {"drift": drift(truth, before)}
+    errors = closure_errors(truth[candidates.i], truth[candidates.j], candidates.i_from_j)
+    metrics |= closure_summary(errors, kept)
+    valid, opposing, distance = (
+        np.asarray(column)[:, 0] for column in (result.ranked.valid, result.ranked.opposing, result.ranked.distance)
+    )
+    first = np.where(valid, np.asarray(result.ranked.j)[:, 0], -1)
+    for name, radius in (("1m", 1.0), ("0.3m", 0.3), ("paper", travelled * PAPER_RADIUS)):
+        pairs = facing_pairs(truth[result.keyframes], result.view.centre_m, radius)
+        share, queries = recall_at_1(first, opposing, pairs)
+        key = "paper_recall" if name == "paper" else f"recall_at_1_{name}"
+        metrics[key] = share
+        metrics[f"{key}_queries"] = queries
+        metrics[f"{key}_radius_m"] = round(radius, 3)
+        if name == "1m":
+            right = pairs[np.arange(len(first)), np.maximum(first, 0)] & opposing
+            metrics["p100_1m"] = precision_100(-distance[valid].astype(np.float64), right[valid])
+    return metrics
+
+
+def summary_lines(metrics: Mapping[str, Any]) -> list[str]:
+    """What was found, and how good it is."""
+    lines: list[str] = []
+    for name, why in metrics["broken_frames"].items():
+        lines.append(f"skipped {name}: {why}")
+    if metrics["frames_without_odometry"]:
+        lines.append(f"left out {len(metrics['frames_without_odometry'])} frames without odometry")
+    lines.append(
+        f"{metrics['frames']} frames, {metrics['keyframes']} looked at, {metrics['candidates']} candidates verified, "
+        f"{metrics['closures_kept']} loop closures kept ({metrics['closures_opposing']} from opposing views)"
+    )
+    lines += motion_lines(metrics)
+    if not metrics["closures_kept"]:
+        lines.append(metrics["nothing_kept"])
+    if truth := metrics.get("closures_against_truth"):
+        lines.append(
+            f"closures within 5 cm and 1 degree of the truth: {truth['within_5cm_1deg']} of {truth['checked']}; "
+            f"worst {truth['position_error_m']['max']:.3f} m, {truth['heading_error_deg']['max']:.2f} deg"
+        )
+    if metrics.get("recall_at_1_1m") is not None:
+        lines.append(
+            f"R@1 m of the first candidate {metrics['recall_at_1_1m']:.3f} over {metrics['recall_at_1_1m_queries']} "
+            f"queries; P100 {metrics['p100_1m']:.3f}"
+        )
+    if apart := metrics.get("drift"):
+        lines.append(
+            f"drift before any closure, rms over {apart['stretch_m']:g} m: {100 * apart['position_share']:.2f} % of "
+            f"the way, {apart['heading_deg_per_m']:.3f} degrees a metre"
+        )
+    if error := metrics.get("ate_rmse_m"):
+        lines.append(f"ATE rmse, SE(2)-aligned: {error['before']:.4f} m before, {error['after']:.4f} m after")
+    lines.append(
+        f"{metrics['ms_per_frame']:.1f} ms a frame in the pipeline (compilation included where not cached), "
+        f"{metrics['seconds']['total']:.1f} s in all, peak memory {metrics['peak_memory_mb']:.0f} MB"
+    )
+    return lines
