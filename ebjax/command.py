@@ -108,6 +108,9 @@ def setup_jax() -> None:
     import jax
 
     jax.config.update("jax_enable_x64", True)
+    # Two hundred small programs take longer to compile than to read.
+    if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     if getattr(jax.config, "jax_compilation_cache_dir", None) is not None:  # the user's own choice
         return
     try:
@@ -118,7 +121,6 @@ def setup_jax() -> None:
     except (OSError, RuntimeError):
         return
     jax.config.update("jax_compilation_cache_dir", str(folder))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 
 
 def progress(iterable: Iterable[Item], total: int | None = None, label: str = "") -> Iterator[Item]:

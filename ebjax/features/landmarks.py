@@ -57,11 +57,14 @@ def floor_error_m(landmarks: Landmarks) -> float:
 
 def remounted_landmarks(landmarks: Landmarks, camera: Camera) -> Landmarks:
     """Many keyframes' landmarks where another mount of the same camera puts them."""
-    shape = landmarks.pixels.shape
-    flat = jnp.asarray(landmarks.pixels.reshape(-1, 2))
+    floor, points = _mounted(jnp.asarray(landmarks.pixels), jnp.asarray(landmarks.range_m), camera)
+    return jax.tree.map(np.asarray, dataclasses.replace(landmarks, floor_points=floor, points=points))
+
+
+@jax.jit
+def _mounted(pixels: Float[Array, "N K 2"], range_m: Float[Array, "N K"], camera: Camera):
+    flat = pixels.reshape(-1, 2)
     floor = apply(jnp.linalg.inv(image_from_floor(camera)), flat)
     pose = jnp.asarray(camera.base_from_camera, flat.dtype)
-    lifted = backproject(flat, jnp.asarray(landmarks.range_m.reshape(-1)), camera.intrinsics)
-    points = lifted @ pose[:3, :3].T + pose[None, :3, 3]
-    moved = dataclasses.replace(landmarks, floor_points=floor.reshape(shape), points=points.reshape(*shape[:-1], 3))
-    return jax.tree.map(np.asarray, moved)
+    points = backproject(flat, range_m.reshape(-1), camera.intrinsics) @ pose[:3, :3].T + pose[None, :3, 3]
+    return floor.reshape(pixels.shape), points.reshape(*pixels.shape[:2], 3)

@@ -7,6 +7,7 @@ image, the floor, or nothing but the epipolar line. Host side, NumPy.
 
 from dataclasses import dataclass
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -63,13 +64,16 @@ class MotionMeasurement:
         )
 
 
+_lift = jax.jit(lift)
+
+
 def _depths(features: ImageFeatures, depth_m: Float[np.ndarray, "H W"] | None, camera: Camera) -> np.ndarray:
     """Depth at every corner, m, 0 where missing; padded so that one program serves all images."""
     if depth_m is None:
         return np.zeros(len(features))
     padded = np.zeros((-(-max(len(features), 1) // COUNT) * COUNT, 2), np.float32)
     padded[: len(features)] = features.keypoints
-    depth = lift(jnp.asarray(padded), jnp.asarray(depth_m, jnp.float32), camera)[1]
+    depth = _lift(jnp.asarray(padded), jnp.asarray(depth_m, jnp.float32), camera)[1]
     return np.asarray(depth, np.float64)[: len(features)]
 
 

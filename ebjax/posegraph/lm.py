@@ -65,9 +65,13 @@ def cut_off(
     graph: PoseGraph, poses: Float[Array, "N P"], *, kernel: str = "cauchy", width: float | None = None
 ) -> Bool[np.ndarray, " E"]:
     """Robust edges that count for nothing at `poses`, which kernels that truncate have; the options as in `solve`."""
-    s = squared_residuals(graph, poses)
-    at = jnp.asarray(default_width(kernel, graph.lie.dim) if width is None else width, s.dtype)
-    return np.asarray(graph.robust) & (np.asarray(weight(kernel, s, at)) == 0)
+    at = jnp.asarray(default_width(kernel, graph.lie.dim) if width is None else width, jnp.asarray(poses).dtype)
+    return np.asarray(graph.robust) & (np.asarray(_weights(graph, poses, at, kernel)) == 0)
+
+
+@partial(jax.jit, static_argnames="kernel")
+def _weights(graph, poses, width, kernel):
+    return weight(kernel, squared_residuals(graph, poses), width)
 
 
 def compile_solve(graph: PoseGraph, **options: Any) -> Callable[[], Solution]:
