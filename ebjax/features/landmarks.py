@@ -6,12 +6,13 @@ import typing
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, UInt8
 
 from ebjax.features.matching import Features
 from ebjax.features.measure import lift
 from ebjax.geometry.camera import Camera, backproject, image_from_floor
 from ebjax.geometry.homography import apply
+from ebjax.models.luma import luma
 from ebjax.views.run_view import RunView
 
 
@@ -26,12 +27,14 @@ class Landmarks:
     points: Float[Array, "*n K 3"]  # by depth, m
     range_m: Float[Array, "*n K"]  # depth of `points`; 0 where there is none
     pixels: Float[Array, "*n K 2"]  # in the raw image, px
+    grey: UInt8[Array, "*n h w"]  # the floor view they were found in
 
 
 def located(
     features: Features,
     floor: Bool[Array, "h w"],
     depth_m: Float[Array, "H W"],
+    colours: Float[Array, "h w 3"],
     view: RunView,
     camera: Camera,
 ) -> Landmarks:
@@ -41,7 +44,8 @@ def located(
     keypoints = features.keypoints.astype(view.image_from_view.dtype)
     pixels = apply(view.image_from_view, keypoints)
     points, range_m = lift(pixels, depth_m.astype(pixels.dtype), camera)
-    return Landmarks(features, apply(view.floor_from_view, keypoints), points, range_m, pixels)
+    grey = jnp.round(luma(colours) * 255).astype(jnp.uint8)
+    return Landmarks(features, apply(view.floor_from_view, keypoints), points, range_m, pixels, grey)
 
 
 def take(landmarks: Landmarks, rows: Int[np.ndarray, " K"]) -> Landmarks:

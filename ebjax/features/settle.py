@@ -18,12 +18,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from ebjax.features.align import aligned
 from ebjax.features.landmarks import Landmarks
 from ebjax.features.measure import LoopMeasurement
 from ebjax.features.verify import Verified
 from ebjax.geometry.camera import Camera, backproject, image_from_floor
 from ebjax.geometry.homography import apply
 from ebjax.geometry.rigid import kabsch
+from ebjax.views.run_view import RunView
 
 VIEW_M = 0.001
 """Standard deviation of a corner in a floor view of 1 cm a pixel, m."""
@@ -63,8 +65,16 @@ class PairMatches:
     start: Float[Array, "*n 3"]
 
 
-def pair_matches(ours: Landmarks, theirs: Landmarks, found: Verified, camera: Camera) -> PairMatches:
-    """Gathers what a verified pair matched: i is the query, j the reference."""
+def pair_matches(ours: Landmarks, theirs: Landmarks, found: Verified, view: RunView, camera: Camera) -> PairMatches:
+    """Gathers what a verified pair matched, aligned in the floor views: i is the query, j the reference.
+
+    Args:
+      ours: of frame i.
+      theirs: of frame j.
+      found: their matches and motion on the floor under `camera`.
+      view: where the views lie in the image.
+      camera: as it is mounted.
+    """
     q, r = found.query, found.reference
     motion = found.query_from_reference
     start = jnp.stack([motion[0, 2], motion[1, 2], jnp.arctan2(motion[1, 0], motion[0, 0])])
@@ -72,7 +82,18 @@ def pair_matches(ours: Landmarks, theirs: Landmarks, found: Verified, camera: Ca
     def lifted(landmarks, rows):
         return backproject(landmarks.pixels[rows], landmarks.range_m[rows], camera.intrinsics)
 
-    return PairMatches(ours.pixels[q], theirs.pixels[r], lifted(ours, q), lifted(theirs, r), found.matched, start)
+    floor_from_view = jnp.linalg.inv(image_from_floor(camera)) @ view.image_from_view
+    i_from_j = jnp.linalg.inv(floor_from_view) @ motion @ floor_from_view
+    corners = ours.features.keypoints[q].astype(start.dtype)
+    others = theirs.features.keypoints[r].astype(start.dtype)
+    moved, _ = aligned(ours.grey, theirs.grey, i_from_j, corners, others)
+    # The floor around a corner is flat: its point by depth moves with it.
+    shift = apply(floor_from_view, moved) - apply(floor_from_view, corners)
+    shift = shift @ jnp.asarray(camera.base_from_camera)[:2, :3]
+    points = lifted(ours, q) + jnp.where(ours.range_m[q][:, None] > 0, shift, 0)
+    return PairMatches(
+        apply(view.image_from_view, moved), theirs.pixels[r], points, lifted(theirs, r), found.matched, start
+    )
 
 
 def on_floor(pixels: Float[Array, "M 2"], camera: Camera) -> tuple[Float[Array, "M 2"], Float[Array, " M"]]:

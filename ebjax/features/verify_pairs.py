@@ -13,13 +13,14 @@ from ebjax.features.measure import LoopMeasurement, measure_depth, measure_floor
 from ebjax.features.settle import PairMatches, depth_motion, floor_motion, pair_matches
 from ebjax.features.verify import Verified, verify
 from ebjax.geometry.camera import Camera
+from ebjax.views.run_view import RunView
 
 PAIRS_A_CALL = 64
 Found = tuple[Verified, LoopMeasurement, LoopMeasurement, Int[np.ndarray, " K"], PairMatches]
 
 
 @partial(jax.jit, static_argnames="tolerance_m")
-def _block(query: Landmarks, reference: Landmarks, keys, camera: Camera, tolerance_m: float):
+def _block(query: Landmarks, reference: Landmarks, keys, view: RunView, camera: Camera, tolerance_m: float):
     def one(args):
         ours, theirs, key = args
         found = verify(
@@ -30,13 +31,14 @@ def _block(query: Landmarks, reference: Landmarks, keys, camera: Camera, toleran
         deep = found.inliers & (ours.range_m[q] > 0) & (theirs.range_m[r] > 0)
         range_m = jnp.maximum(ours.range_m[q], theirs.range_m[r])
         depth = measure_depth(ours.points[q], theirs.points[r], deep, range_m)
-        return found, floor, depth, deep.sum(), pair_matches(ours, theirs, found, camera)
+        return found, floor, depth, deep.sum(), pair_matches(ours, theirs, found, view, camera)
 
     return jax.lax.map(one, (query, reference, keys))
 
 
 def verify_blocks(
     pick: Callable[..., tuple[Landmarks, Landmarks]],
+    view: RunView,
     camera: Camera,
     i: Int[np.ndarray, " K"],
     j: Int[np.ndarray, " K"],
@@ -49,6 +51,7 @@ def verify_blocks(
 
     Args:
       pick: (rows of i, rows of j, opposing) -> the landmarks of both, the second as the first's direction has them.
+      view: of the run.
       camera: of the run.
       i: rows of the later frames.
       j: rows of the earlier frames.
@@ -63,7 +66,7 @@ def verify_blocks(
         a, b = (i[rows], j[rows]) if len(i) else (np.zeros(PAIRS_A_CALL, int),) * 2
         facing = opposing[rows] if len(i) else np.zeros(PAIRS_A_CALL, bool)
         query, reference = pick(a, b, facing)
-        results.append(jax.tree.map(np.asarray, _block(query, reference, keys[rows], camera, tolerance_m)))
+        results.append(jax.tree.map(np.asarray, _block(query, reference, keys[rows], view, camera, tolerance_m)))
     return jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(i)], *results)
 
 

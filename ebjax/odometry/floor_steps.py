@@ -44,6 +44,7 @@ class FloorPairs:
 
 def verified_pairs(
     landmarks: Landmarks,
+    view: RunView,
     camera: Camera,
     i: Int[np.ndarray, " K"],
     j: Int[np.ndarray, " K"],
@@ -56,7 +57,9 @@ def verified_pairs(
     def pick(a, b, _):
         return take(landmarks, a), take(landmarks, b)
 
-    found, *_, matches = verify_blocks(pick, camera, i, j, np.zeros(len(i), bool), tolerance_m=tolerance_m, seed=seed)
+    found, *_, matches = verify_blocks(
+        pick, view, camera, i, j, np.zeros(len(i), bool), tolerance_m=tolerance_m, seed=seed
+    )
     inliers, total = (np.asarray(rows).sum(-1) for rows in (found.inliers, found.matched))
     return FloorPairs(i, j, inliers, total, matches)
 
@@ -74,14 +77,14 @@ def upright_pairs(
     """Verifies every keyframe against earlier ones, the camera's tilt put right by the first pairs."""
     i, j = partners(view, poses)
     tilt = Tilt()
-    pairs = verified_pairs(landmarks, camera, i, j, tolerance_m=tolerance_m, seed=seed)
+    pairs = verified_pairs(landmarks, view, camera, i, j, tolerance_m=tolerance_m, seed=seed)
     for _ in range(2 if refine else 0):
         camera, more = refine_tilt(pairs.matches, pairs.believed, camera, tolerance_m)
         tilt = tilt.further(more)
         if not more.applied:
             break
         moved = remounted_landmarks(landmarks, camera)
-        pairs = verified_pairs(moved, camera, i, j, tolerance_m=tolerance_m, seed=seed)
+        pairs = verified_pairs(moved, view, camera, i, j, tolerance_m=tolerance_m, seed=seed)
     return pairs, camera, tilt
 
 

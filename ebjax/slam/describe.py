@@ -51,7 +51,7 @@ def _describe(
     place = None if descriptor is None else descriptor.look(colours, floor, rgb)
     landmarks = None
     if extractor is not None:
-        landmarks = located(extractor.extract(colours, floor), floor, depth_m, view, camera)
+        landmarks = located(extractor.extract(colours, floor), floor, depth_m, colours, view, camera)
     return jnp.round(colours * 255).astype(jnp.uint8), floor, place, landmarks
 
 
@@ -92,7 +92,7 @@ def describe(
     if landmarks is None:
 
         def here(features: Features) -> Landmarks:
-            return _located(features, floor, depth_m, view, camera)
+            return _located(features, floor, depth_m, colours, view, camera)
 
         landmarks = here(extractor.extract(colours, floor))
         turned = None if extractor.turn else here(extractor.turned(colours, floor))

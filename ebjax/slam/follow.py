@@ -9,12 +9,14 @@ from ebjax.geometry.planar import chained, inverse
 from ebjax.odometry.floor_steps import table_of, verified_pairs
 from ebjax.odometry.motion import MotionConfig
 from ebjax.slam.describe import Described
+from ebjax.views.run_view import RunView
 
 
 def follow(
     described: Described,
     frames: Int[np.ndarray, " N"],
     timestamps: Float[np.ndarray, " F"],
+    view: RunView,
     camera: Camera,
     keyframe_m: float,
     keyframe_deg: float,
@@ -32,7 +34,7 @@ def follow(
     later, earlier = np.arange(1, count), np.arange(count - 1)
 
     pairs = verified_pairs(
-        described.landmarks, camera, later, earlier, tolerance_m=config.tolerance_m, seed=config.seed + 2
+        described.landmarks, view, camera, later, earlier, tolerance_m=config.tolerance_m, seed=config.seed + 2
     )
     table = table_of(pairs, camera, config.tolerance_m)
     step, good = inverse(table.i_from_j), table.used

@@ -212,7 +212,7 @@ def run(
     pick = best_of_each_direction(np.asarray(ranked.valid) & believable, np.asarray(ranked.opposing), config.verify)
     i, j, opposing, distance = (a[pick] for a in (ranked.i, ranked.j, ranked.opposing, ranked.distance))
     verified, floor, depth, with_depth, matches = verify_pairs(
-        described, chosen, found.camera, i, j, opposing, tolerance_m=config.tolerance_m, seed=config.seed
+        described, chosen, found.view, found.camera, i, j, opposing, tolerance_m=config.tolerance_m, seed=config.seed
     )
     inliers, total = (np.asarray(rows).sum(-1) for rows in (verified.inliers, verified.matched))
     if found.motion is None:

@@ -136,7 +136,7 @@ def _moved(
     odometry = recording.odom_from_base
     if odometry is None or floor_alone:
         keyframes, described, way = follow(
-            described, keyframes, recording.timestamps, camera, config.keyframe_m, config.keyframe_deg, steps
+            described, keyframes, recording.timestamps, view, camera, config.keyframe_m, config.keyframe_deg, steps
         )
         wheels_at = None
     else:

@@ -12,11 +12,13 @@ from ebjax.features.landmarks import Landmarks, take
 from ebjax.features.verify_pairs import Found, verify_blocks
 from ebjax.geometry.camera import Camera
 from ebjax.slam.describe import Described
+from ebjax.views.run_view import RunView
 
 
 def verify_pairs(
     described: Described,
     chosen: Extractor,
+    view: RunView,
     camera: Camera,
     i: Int[np.ndarray, " K"],
     j: Int[np.ndarray, " K"],
@@ -30,7 +32,7 @@ def verify_pairs(
     def pick(a, b, facing):
         return take(described.landmarks, a), seen_from(described, chosen, b, facing)
 
-    return verify_blocks(pick, camera, i, j, opposing, tolerance_m=tolerance_m, seed=seed)
+    return verify_blocks(pick, view, camera, i, j, opposing, tolerance_m=tolerance_m, seed=seed)
 
 
 def seen_from(
