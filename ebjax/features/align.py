@@ -1,8 +1,8 @@
 """Where a corner of one floor view lies in another, to a few hundredths of a pixel: aligned patches, not two corners.
 
 A corner is a peak of contrast, and contrast falls with the distance from the camera. So a corner is found a little
-nearer than what makes it, the farther the more: steps came out short by 0.03 %, which adds up. The patch around it
-has no such pull and uses more of the picture (Lucas and Kanade, 1981): errors of steps are halved.
+nearer than what makes it, the farther the more: steps come out short by 0.03 %, which adds up. The patch around it
+has no such pull, and says more (Lucas and Kanade, 1981): steps err by half as much.
 """
 
 import jax
@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float, UInt8
 from ebjax.geometry.homography import apply
 
 RADIUS = 5
+SIDE = 2 * RADIUS + 1
 SPREAD_PX = 3.0
 """Standard deviation of the window's weights."""
 ROUNDS = 3
@@ -21,7 +22,76 @@ LEAST_GAIN = 0.2
 """Of a patch's contrast in the one view over that in the other."""
 
 
+def aligned(
+    view_i: UInt8[Array, "h w"],
+    view_j: UInt8[Array, "h w"],
+    seen: Bool[Array, "h w"],
+    i_from_j: Float[Array, "3 3"],
+    points_i: Float[Array, "M 2"],
+    points_j: Float[Array, "M 2"],
+) -> tuple[Float[Array, "M 2"], Bool[Array, " M"]]:
+    """Points of view i moved to where the patches around their partners of view j fit best.
+
+    Brightness and contrast of a patch may differ between the views.
+
+    Args:
+      view_i: grey.
+      view_j: grey, of the same floor.
+      seen: what views show of the floor; a patch that reaches beyond it is left alone.
+      i_from_j: pixels of view i from pixels of view j, right to about a pixel; turns and scales the patches.
+      points_i: (x, y) px in view i.
+      points_j: their partners in view j, px.
+
+    Returns:
+      Points in view i, px, and which of them were aligned.
+    """
+    if min(view_i.shape) <= SIDE:
+        return points_i, jnp.zeros(len(points_i), bool)
+    image = view_i.astype(jnp.float32)
+    start, partners, homography = (jnp.asarray(x, jnp.float32) for x in (points_i, points_j, i_from_j))
+    offset = jnp.arange(-RADIUS - 1, RADIUS + 2, dtype=jnp.float32)
+    grid = jnp.stack(jnp.meshgrid(offset, offset), -1)
+    weight = jnp.exp(-jnp.sum(grid[1:-1, 1:-1] ** 2, -1) / (2 * SPREAD_PX**2))
+    weight = (weight / weight.sum())[None]
+
+    # A patch is so small that the homography is affine over it: partner + A offset, A from central differences.
+    middle, inverse = apply(homography, partners), jnp.linalg.inv(homography)
+    axes = jnp.eye(2, dtype=jnp.float32)
+    affine = [(apply(inverse, middle + axis[None]) - apply(inverse, middle - axis[None])) / 2 for axis in axes]
+    across, down = (a[:, None, None, :] for a in affine)
+    back = partners[:, None, None, :] + across * grid[None, :, :, :1] + down * grid[None, :, :, 1:]
+    wide = _bilinear(view_j.astype(jnp.float32), back)
+    gx = (wide[:, 1:-1, 2:] - wide[:, 1:-1, :-2]) / 2
+    gy = (wide[:, 2:, 1:-1] - wide[:, :-2, 1:-1]) / 2
+    template = wide[:, 1:-1, 1:-1]
+    template = template - jnp.sum(template * weight, (1, 2), keepdims=True)
+
+    def total(*factors):
+        return jnp.sum(jnp.prod(jnp.stack(factors), 0) * weight, (1, 2))
+
+    # With the template centred, all that a round needs of a patch are four sums over it.
+    xx, xy, yy, energy = total(gx, gx), total(gx, gy), total(gy, gy), total(template, template)
+    mean_x, mean_y, own_x, own_y = total(gx), total(gy), total(gx, template), total(gy, template)
+    sums = jnp.stack([jnp.ones_like(template), template, gx, gy]) * weight[None]
+    determinant = jnp.maximum(xx * yy - xy * xy, 1e-9)
+
+    def step(points, _):
+        mean, similar, along_x, along_y = jnp.sum(_around(image, points)[None] * sums, (2, 3))
+        gain = jnp.maximum(similar / jnp.maximum(energy, 1e-9), LEAST_GAIN)
+        bx, by = own_x - (along_x - mean * mean_x) / gain, own_y - (along_y - mean * mean_y) / gain
+        move = jnp.stack([yy * bx - xy * by, xx * by - xy * bx], -1) / determinant[:, None]
+        return points + jnp.clip(move, -1.0, 1.0), None
+
+    moved, _ = jax.lax.scan(step, start, None, length=ROUNDS)
+    ends = jnp.array([0, -1, 0, -1]), jnp.array([0, 0, -1, -1])
+    around = start[:, None, :] + (RADIUS + 2) * jnp.sign(grid[ends])[None]
+    whole = _inside(seen, around) & _inside(seen, back[:, *ends])
+    found = whole & (jnp.sum((moved - start) ** 2, 1) < MOST_PX**2)
+    return jnp.where(found[:, None], moved.astype(points_i.dtype), points_i), found
+
+
 def _bilinear(image: Float[Array, "h w"], points: Float[Array, "*n 2"]) -> Float[Array, " *n"]:
+    """Values at points, anyhow continued outside."""
     height, width = image.shape
     corner = jnp.floor(points)
     x, y = points[..., 0] - corner[..., 0], points[..., 1] - corner[..., 1]
@@ -34,84 +104,22 @@ def _bilinear(image: Float[Array, "h w"], points: Float[Array, "*n 2"]) -> Float
 
 
 def _around(image: Float[Array, "h w"], points: Float[Array, "M 2"]) -> Float[Array, "M side side"]:
-    """Square patches around points: whole ones are cut out and shifted by the fraction."""
-    side = 2 * RADIUS + 1
+    """Square patches around points: cut out whole, which is faster than a gather, and shifted by the fraction."""
     corner = jnp.floor(points)
     x, y = (points - corner)[:, 0, None, None], (points - corner)[:, 1, None, None]
     first = corner.astype(jnp.int32) - RADIUS
 
     def cut(at):
-        return jax.lax.dynamic_slice(image, (at[1], at[0]), (side + 1, side + 1))
+        return jax.lax.dynamic_slice(image, (at[1], at[0]), (SIDE + 1, SIDE + 1))
 
-    p = jax.vmap(cut)(first)
-    rows = (1 - y) * p[:, :-1] + y * p[:, 1:]
+    patch = jax.vmap(cut)(first)
+    rows = (1 - y) * patch[:, :-1] + y * patch[:, 1:]
     return (1 - x) * rows[:, :, :-1] + x * rows[:, :, 1:]
 
 
-def aligned(
-    view_i: UInt8[Array, "h w"],
-    view_j: UInt8[Array, "h w"],
-    i_from_j: Float[Array, "3 3"],
-    points_i: Float[Array, "M 2"],
-    points_j: Float[Array, "M 2"],
-) -> tuple[Float[Array, "M 2"], Bool[Array, " M"]]:
-    """Points of view i moved to where the patches around their partners of view j fit best.
-
-    Brightness and contrast of a patch may differ between the views. Points near a border are left alone.
-
-    Args:
-      view_i: grey.
-      view_j: grey, of the same floor.
-      i_from_j: pixels of view i from pixels of view j, right to about a pixel; turns and scales the patches.
-      points_i: (x, y) px in view i.
-      points_j: their partners in view j, px.
-
-    Returns:
-      Points in view i, px, and which of them were aligned.
-    """
-    dtype = points_i.dtype
-    one, other = view_i.astype(jnp.float32), view_j.astype(jnp.float32)
-    start, points_j, i_from_j = points_i.astype(jnp.float32), points_j.astype(jnp.float32), i_from_j.astype(jnp.float32)
-    offset = jnp.arange(-RADIUS - 1, RADIUS + 2, dtype=jnp.float32)
-    grid = jnp.stack(jnp.meshgrid(offset, offset), -1)
-    weight = jnp.exp(-jnp.sum(grid[1:-1, 1:-1] ** 2, -1) / (2 * SPREAD_PX**2))
-    weight = weight / weight.sum()
-
-    # A patch is so small that the homography is affine over it: point + A offset, A from central differences.
-    middle, inverse = apply(i_from_j, points_j), jnp.linalg.inv(i_from_j)
-    axes = jnp.eye(2, dtype=jnp.float32)
-    affine = [(apply(inverse, middle + axis[None]) - apply(inverse, middle - axis[None])) / 2 for axis in axes]
-    back = points_j[:, None, None, :] + sum(
-        column[:, None, None, :] * grid[None, :, :, k, None] for k, column in enumerate(affine)
-    )
-    template = _bilinear(other, back)
-    gx = (template[:, 1:-1, 2:] - template[:, 1:-1, :-2]) / 2
-    gy = (template[:, 2:, 1:-1] - template[:, :-2, 1:-1]) / 2
-    template = template[:, 1:-1, 1:-1]
-    template = template - jnp.sum(template * weight[None], (1, 2), keepdims=True)
-
-    def total(a, b):
-        return jnp.sum(a * b * weight[None], (1, 2))
-
-    # With the template centred, all that a round needs of a patch are four sums over it.
-    one_ = jnp.ones_like(template)
-    xx, xy, yy, energy = total(gx, gx), total(gx, gy), total(gy, gy), total(template, template)
-    mean_x, mean_y, own_x, own_y = total(gx, one_), total(gy, one_), total(gx, template), total(gy, template)
-    sums = jnp.stack([one_, template, gx, gy]) * weight[None, None]
-    determinant = jnp.maximum(xx * yy - xy * xy, 1e-9)
-
-    def step(points, _):
-        mean, similar, along_x, along_y = jnp.sum(_around(one, points)[None] * sums, (2, 3))
-        gain = jnp.maximum(similar / jnp.maximum(energy, 1e-9), LEAST_GAIN)
-        bx, by = own_x - (along_x - mean * mean_x) / gain, own_y - (along_y - mean * mean_y) / gain
-        move = jnp.stack([yy * bx - xy * by, xx * by - xy * bx], -1) / determinant[:, None]
-        return points + jnp.clip(move, -1.0, 1.0), None
-
-    points, _ = jax.lax.scan(step, start, None, length=ROUNDS)
-    height, width = view_i.shape
-    margin = RADIUS + 1
-    high = jnp.array([width - 1 - margin, height - 1 - margin])
-    inside = jnp.all((start >= margin) & (start <= high[None]), 1)
-    whole = jnp.all((back >= 0) & (back <= jnp.array([width - 1, height - 1])), (1, 2, 3))
-    found = inside & whole & (jnp.sum((points - start) ** 2, 1) < MOST_PX**2)
-    return jnp.where(found[:, None], points.astype(dtype), points_i), found
+def _inside(seen: Bool[Array, "h w"], points: Float[Array, "M k 2"]) -> Bool[Array, " M"]:
+    """Whether all k points lie on what is seen."""
+    height, width = seen.shape
+    high = jnp.array([width - 1, height - 1], points.dtype)[None, None]
+    nearest = jnp.clip(jnp.round(points), 0, high).astype(jnp.int32)
+    return jnp.all((points >= 0) & (points <= high), (1, 2)) & jnp.all(seen[nearest[..., 1], nearest[..., 0]], 1)

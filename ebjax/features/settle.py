@@ -86,7 +86,7 @@ def pair_matches(ours: Landmarks, theirs: Landmarks, found: Verified, view: RunV
     i_from_j = jnp.linalg.inv(floor_from_view) @ motion @ floor_from_view
     corners = ours.features.keypoints[q].astype(start.dtype)
     others = theirs.features.keypoints[r].astype(start.dtype)
-    moved, _ = aligned(ours.grey, theirs.grey, i_from_j, corners, others)
+    moved, _ = aligned(ours.grey, theirs.grey, view.seen, i_from_j, corners, others)
     # The floor around a corner is flat: its point by depth moves with it.
     shift = apply(floor_from_view, moved) - apply(floor_from_view, corners)
     shift = shift @ jnp.asarray(camera.base_from_camera)[:2, :3]

@@ -13,6 +13,7 @@ from ebjax.geometry import planar
 from ebjax.geometry.camera import camera_over_floor, image_from_floor, project
 from ebjax.geometry.homography import apply
 from ebjax.geometry.mount import Mounting, remounted
+from ebjax.views.run_view import RunView
 
 AHEAD = np.array([-0.2, 0.02, 0.05])
 NEARLY = np.array([0.01, -0.008, 0.004])
@@ -260,16 +261,18 @@ def test_pair_matches_gathers_the_rows_that_match():
     random = np.random.default_rng(12)
 
     def landmarks(range_m):
-        features = Features(jnp.zeros((6, 2)), jnp.zeros((6, 4)), jnp.ones(6, bool))
         pixels = jnp.asarray(random.uniform(0, 400, (6, 2)))
-        return Landmarks(features, jnp.zeros((6, 2)), jnp.zeros((6, 3)), jnp.asarray(range_m), pixels)
+        features = Features(pixels, jnp.zeros((6, 4)), jnp.ones(6, bool))
+        grey = np.zeros((9, 9), np.uint8)
+        return Landmarks(features, jnp.zeros((6, 2)), jnp.zeros((6, 3)), jnp.asarray(range_m), pixels, grey)
 
     ours, theirs = landmarks(np.arange(6.0)), landmarks(np.full(6, 2.0))
     rows, other, matched = jnp.array([3, 0, 5, 1]), jnp.array([2, 4, 1, 1]), jnp.array([True, True, True, False])
     c, s = np.cos(2.9), np.sin(2.9)
     motion = jnp.array([[c, -s, 0.3], [s, c, -0.1], [0, 0, 1]])
-    found = jax.jit(pair_matches)(ours, theirs, Verified(rows, other, matched, matched, motion), CAMERA)
-    np.testing.assert_array_equal(found.pixels_i, ours.pixels[rows])
+    view = RunView(jnp.eye(3), jnp.eye(3), jnp.ones((9, 9), bool))
+    found = jax.jit(pair_matches)(ours, theirs, Verified(rows, other, matched, matched, motion), view, CAMERA)
+    np.testing.assert_allclose(found.pixels_i, ours.pixels[rows], atol=1e-9)
     np.testing.assert_array_equal(found.pixels_j, theirs.pixels[other])
     np.testing.assert_allclose(found.start, [0.3, -0.1, 2.9], atol=1e-12)
     np.testing.assert_array_equal(found.points_i[:, 2], [3.0, 0.0, 5.0, 1.0])

@@ -53,7 +53,8 @@ def seen_from(camera, view, poses):
     features = Features(keypoints, descriptors[rows], np.ones(rows.shape, bool))
     floor, _ = on_floor(jnp.asarray(pixels.reshape(-1, 2)), camera)
     none = np.zeros(rows.shape)
-    return Landmarks(features, np.asarray(floor).reshape(pixels.shape), np.zeros((*rows.shape, 3)), none, pixels)
+    points, grey = np.asarray(floor).reshape(pixels.shape), np.zeros((len(rows), *view.size), np.uint8)
+    return Landmarks(features, points, np.zeros((*rows.shape, 3)), none, pixels, grey)
 
 
 @pytest.fixture(scope="module")

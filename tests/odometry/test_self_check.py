@@ -33,7 +33,7 @@ def landmarks(floor_z=None):
     ranges = np.zeros((2, 30)) if floor_z is None else np.tile(np.arange(30) % 3 > 0, (2, 1)) * 1.5
     points[ranges == 0] = 9.0
     features = Features(np.zeros((2, 30, 2)), np.ones((2, 30, 4)), np.ones((2, 30), bool))
-    return Landmarks(features, points[..., :2], points, ranges, np.zeros((2, 30, 2)))
+    return Landmarks(features, points[..., :2], points, ranges, np.zeros((2, 30, 2)), np.zeros((2, 9, 9), np.uint8))
 
 
 def systematic(scale, sigma=0.003):
