@@ -21,6 +21,7 @@ from ebjax.odometry.chain import Edges
 from ebjax.odometry.clock import TimeOffset
 from ebjax.odometry.floor_steps import FloorPairs, table_of, upright_pairs, without_body, without_contradiction
 from ebjax.odometry.fuse import Jump, fuse
+from ebjax.odometry.ground import bends, ground_warnings
 from ebjax.odometry.height import Reach
 from ebjax.odometry.mount import FEWEST, Tilt, refine_tilt
 from ebjax.odometry.self_check import height_off, mount_warnings, moved_camera, offset_of, reach_of, systematic_of
@@ -211,7 +212,10 @@ def conclude(
         jumps=tuple(dataclasses.replace(jump, frame=int(keyframes.frames[jump.frame])) for jump in settled.jumps),
         carried=settled.carried,
         trust_depth=trust_depth,
-        warnings=mount_warnings(wrong, trust_depth, landmarks, camera, config.errors),
+        warnings=(
+            *mount_warnings(wrong, trust_depth, landmarks, camera, config.errors),
+            *ground_warnings(bends(pairs, settled.poses, camera, config.tolerance_m), times, settled.poses),
+        ),
         pairs=pairs,
         bridged=bridged,
     )
