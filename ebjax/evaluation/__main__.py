@@ -22,7 +22,7 @@ import numpy as np
 import tyro
 
 from ebjax.command import run
-from ebjax.evaluation.nees import between, pairs_along, summaries, table, tangent_errors
+from ebjax.evaluation.nees import SCALE_SIGMA, between, pairs_along, summaries, table, tangent_errors, with_scale
 from ebjax.evaluation.nees_tables import read_measurements
 from ebjax.evaluation.trajectory import ALIGNMENTS, arc_length, arc_length_association, associate, ate, rpe
 from ebjax.io.atomic import whole_file
@@ -224,7 +224,9 @@ def _relative(config: NeesConfig, truth: np.ndarray) -> dict[str, Any]:
         covariance = np.asarray(relative_marginals(graph, rows[a], rows[b], kernel="none"))
         if not np.isfinite(covariance).all() or (len(a) and (np.linalg.eigvalsh(covariance)[:, 0] <= 0).any()):
             raise ValueError(f"{path}: its marginals are not positive definite; correct the information of its edges")
-        error = tangent_errors(between(poses[a], poses[b]), between(truth[a], truth[b]))
+        apart = between(poses[a], poses[b])
+        covariance = with_scale(covariance, apart)
+        error = tangent_errors(apart, between(truth[a], truth[b]))
         results[f"{distance:g} m"] = summaries(error, covariance).get("all")
     return results
 
@@ -253,6 +255,7 @@ def nees(config: NeesConfig) -> None:
             notes[-1] += f"; the {name} are left out"
     relative = _relative(config, truth)
     results["relative"] = {name: values for name, values in relative.items() if values}
+    notes.append(f"relative poses: from the graph's marginals, and a common scale of {100 * SCALE_SIGMA:.3f} %")
     notes += [f"relative, {name}: no two frames with truth are that far apart" for name, v in relative.items() if not v]
     print("\n".join([*table(results), *notes]))
     if config.out is not None:

@@ -20,6 +20,11 @@ MOST_PX = 1.5
 """A corner that moves farther than this has found something else, and stays where it was."""
 LEAST_GAIN = 0.2
 """Of a patch's contrast in the one view over that in the other."""
+FLAT = 1e-4
+"""Squared gradients, product of both directions, of a patch that shows nothing."""
+LEAST_PX, NOISE, CORNER_PX = 0.2, 0.3, 0.6
+"""Standard deviations up to one factor a pair: of any aligned patch, px; of the grey level that a patch tells; of a
+corner that was not aligned, px."""
 
 
 def aligned(
@@ -29,7 +34,7 @@ def aligned(
     i_from_j: Float[Array, "3 3"],
     points_i: Float[Array, "M 2"],
     points_j: Float[Array, "M 2"],
-) -> tuple[Float[Array, "M 2"], Bool[Array, " M"]]:
+) -> tuple[Float[Array, "M 2"], Float[Array, "M 2 2"], Bool[Array, " M"]]:
     """Points of view i moved to where the patches around their partners of view j fit best.
 
     Brightness and contrast of a patch may differ between the views.
@@ -43,10 +48,12 @@ def aligned(
       points_j: their partners in view j, px.
 
     Returns:
-      Points in view i, px, and which of them were aligned.
+      Points in view i, px; their covariance up to a factor that all share, px^2, wide along an edge or a grain, where
+      a patch tells little; and which of them were aligned.
     """
     if min(view_i.shape) <= SIDE:
-        return points_i, jnp.zeros(len(points_i), bool)
+        alone = jnp.broadcast_to(CORNER_PX**2 * jnp.eye(2, dtype=points_i.dtype), (len(points_i), 2, 2))
+        return points_i, alone, jnp.zeros(len(points_i), bool)
     image = view_i.astype(jnp.float32)
     start, partners, homography = (jnp.asarray(x, jnp.float32) for x in (points_i, points_j, i_from_j))
     offset = jnp.arange(-RADIUS - 1, RADIUS + 2, dtype=jnp.float32)
@@ -63,22 +70,28 @@ def aligned(
     wide = _bilinear(view_j.astype(jnp.float32), back)
     gx = (wide[:, 1:-1, 2:] - wide[:, 1:-1, :-2]) / 2
     gy = (wide[:, 2:, 1:-1] - wide[:, :-2, 1:-1]) / 2
-    template = wide[:, 1:-1, 1:-1]
-    template = template - jnp.sum(template * weight, (1, 2), keepdims=True)
+    across_m, down_m = grid[None, 1:-1, 1:-1, 0], grid[None, 1:-1, 1:-1, 1]
 
-    def total(*factors):
-        return jnp.sum(jnp.prod(jnp.stack(factors), 0) * weight, (1, 2))
+    def total(a, b):
+        return jnp.sum(a * b * weight, (1, 2))
 
-    # With the template centred, all that a round needs of a patch are four sums over it.
+    def level(patch):
+        """Without its mean and its slopes: light and vignetting stay with the camera while the floor moves."""
+        spread = jnp.sum(across_m**2 * weight)
+        mean, x, y = (total(patch, one)[:, None, None] for one in (1.0, across_m, down_m))
+        return patch - mean - (x * across_m + y * down_m) / spread
+
+    # What is level is orthogonal to what light adds, so the other view needs none of it taken away.
+    gx, gy, template = level(gx), level(gy), level(wide[:, 1:-1, 1:-1])
     xx, xy, yy, energy = total(gx, gx), total(gx, gy), total(gy, gy), total(template, template)
-    mean_x, mean_y, own_x, own_y = total(gx), total(gy), total(gx, template), total(gy, template)
-    sums = jnp.stack([jnp.ones_like(template), template, gx, gy]) * weight[None]
-    determinant = jnp.maximum(xx * yy - xy * xy, 1e-9)
+    own_x, own_y = total(gx, template), total(gy, template)
+    sums = jnp.stack([template, gx, gy]) * weight[None]
+    determinant = jnp.maximum(xx * yy - xy * xy, FLAT)
 
     def step(points, _):
-        mean, similar, along_x, along_y = jnp.sum(_around(image, points)[None] * sums, (2, 3))
+        similar, along_x, along_y = jnp.sum(_around(image, points)[None] * sums, (2, 3))
         gain = jnp.maximum(similar / jnp.maximum(energy, 1e-9), LEAST_GAIN)
-        bx, by = own_x - (along_x - mean * mean_x) / gain, own_y - (along_y - mean * mean_y) / gain
+        bx, by = own_x - along_x / gain, own_y - along_y / gain
         move = jnp.stack([yy * bx - xy * by, xx * by - xy * bx], -1) / determinant[:, None]
         return points + jnp.clip(move, -1.0, 1.0), None
 
@@ -87,7 +100,12 @@ def aligned(
     around = start[:, None, :] + (RADIUS + 2) * jnp.sign(grid[ends])[None]
     whole = _inside(seen, around) & _inside(seen, back[:, *ends])
     found = whole & (jnp.sum((moved - start) ** 2, 1) < MOST_PX**2)
-    return jnp.where(found[:, None], moved.astype(points_i.dtype), points_i), found
+    eye = jnp.eye(2, dtype=jnp.float32)[None]
+    rows = jnp.stack([jnp.stack([yy, -xy], -1), jnp.stack([-xy, xx], -1)], -2)
+    inverse_gradients = rows / jnp.maximum(xx * yy - xy * xy, FLAT)[:, None, None]
+    covariance = jnp.where(found[:, None, None], LEAST_PX**2 * eye + NOISE**2 * inverse_gradients, CORNER_PX**2 * eye)
+    kept = jnp.where(found[:, None], moved.astype(points_i.dtype), points_i)
+    return kept, covariance.astype(points_i.dtype), found
 
 
 def _bilinear(image: Float[Array, "h w"], points: Float[Array, "*n 2"]) -> Float[Array, " *n"]:

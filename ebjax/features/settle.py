@@ -1,11 +1,11 @@
 """The motion i_from_j between two looks at the floor from all of RANSAC's matches, with a covariance that is true.
 
-A point's error grows with how coarsely its floor is imaged: of a point at the distance d from the camera, at height h
-over the floor, one image pixel covers (h^2 + d^2) / (h f) metres. Depth errs with the square of the range (stereo).
-Either way sigma^2 = VIEW_M^2 + far^2, up to one factor a pair that the residuals tell. Mismatches and edges make the
-residuals heavy-tailed: Student's t by reweighting, its factor from the median. The covariance
+What a match tells of the floor is a patch of the view (`align`): little along an edge or the grain of wood, and less
+where one image pixel covers much floor. Depth errs with the square of the range (stereo). Either way that is a
+covariance S_k of each match, up to one factor a pair that the residuals tell. Mismatches make the residuals
+heavy-tailed: Student's t by reweighting, its factor from the median. The covariance
 
-    Sigma = EXCESS s^2 (sum_k w_k J_k^T J_k / sigma_k^2)^-1,   J_k = R [I, (-y_k, x_k)^T]   (right tangent of i_from_j)
+    Sigma = EXCESS s^2 (sum_k w_k J_k^T S_k^-1 J_k)^-1,   J_k = R [I, (-y_k, x_k)^T]   (right tangent of i_from_j)
 
 has the strong correlation of y and heading that a patch ahead of the robot implies. Nothing is added that matches
 share: what they share is the camera's mount, which the run estimates, and the view's noise, which `EXCESS` counts.
@@ -28,15 +28,17 @@ from ebjax.geometry.rigid import kabsch
 from ebjax.views.run_view import RunView
 
 VIEW_M = 0.001
-"""Standard deviation of a corner in a floor view of 1 cm a pixel, m."""
+"""Standard deviation of a point in a floor view of 1 cm a pixel, m."""
 IMAGE_PX = 0.18
-"""... and in the image, px."""
+"""... and in the image, px: at the distance d from a camera at height h, one covers (h^2 + d^2) / (h f) metres."""
 DEPTH_PER_M = 0.001
 """... and of the mean depth around it, m at 1 m; grows with the square of the range."""
 FREEDOM = 3.0
 """Degrees of freedom of the residuals' distribution."""
-EXCESS = 1.33
-"""Neighbouring corners share texture: so much wider than independent ones would say."""
+EXCESS = 1.75
+"""Neighbouring patches share texture: so much wider than independent ones would say."""
+LEAST_FACTOR = 0.02
+"""No pair is more certain than that: of the variances that `spread` says."""
 ROUNDS = 10
 MEDIAN = 1.3863
 """Of chi-square with two degrees of freedom."""
@@ -55,6 +57,7 @@ class PairMatches:
       points_j: likewise.
       matched: which rows are putative matches.
       start: i_from_j that RANSAC found.
+      spread: covariance of pixels_i as partners of pixels_j, px^2, up to a factor a pair.
     """
 
     pixels_i: Float[Array, "*n M 2"]
@@ -63,6 +66,7 @@ class PairMatches:
     points_j: Float[Array, "*n M 3"]
     matched: Bool[Array, "*n M"]
     start: Float[Array, "*n 3"]
+    spread: Float[Array, "*n M 2 2"]
 
 
 def pair_matches(ours: Landmarks, theirs: Landmarks, found: Verified, view: RunView, camera: Camera) -> PairMatches:
@@ -86,14 +90,26 @@ def pair_matches(ours: Landmarks, theirs: Landmarks, found: Verified, view: RunV
     i_from_j = jnp.linalg.inv(floor_from_view) @ motion @ floor_from_view
     corners = ours.features.keypoints[q].astype(start.dtype)
     others = theirs.features.keypoints[r].astype(start.dtype)
-    moved, _ = aligned(ours.grey, theirs.grey, view.seen, i_from_j, corners, others)
+    moved, covariance, _ = aligned(ours.grey, theirs.grey, view.seen, i_from_j, corners, others)
     # The floor around a corner is flat: its point by depth moves with it.
     shift = apply(floor_from_view, moved) - apply(floor_from_view, corners)
     shift = shift @ jnp.asarray(camera.base_from_camera)[:2, :3]
     points = lifted(ours, q) + jnp.where(ours.range_m[q][:, None] > 0, shift, 0)
-    return PairMatches(
-        apply(view.image_from_view, moved), theirs.pixels[r], points, lifted(theirs, r), found.matched, start
-    )
+    pixels, slopes = _with_slopes(view.image_from_view, moved)
+    # Where an image pixel covers many of the view's, the view's noise is as coarse as they are.
+    coarse = 1 + jnp.sum(jnp.linalg.inv(slopes) ** 2, (1, 2))
+    spread = coarse[:, None, None] * (slopes @ covariance @ jnp.swapaxes(slopes, 1, 2))
+    return PairMatches(pixels, theirs.pixels[r], points, lifted(theirs, r), found.matched, start, spread)
+
+
+def _with_slopes(
+    homography: Float[Array, "3 3"], points: Float[Array, "M 2"]
+) -> tuple[Float[Array, "M 2"], Float[Array, "M 2 2"]]:
+    """Where a homography puts points, and its derivative there."""
+    moved = apply(homography, points)
+    below = points @ homography[2, :2] + homography[2, 2]
+    slopes = homography[None, :2, :2] - moved[:, :, None] * homography[2, :2][None, None]
+    return moved, slopes / below[:, None, None]
 
 
 def on_floor(pixels: Float[Array, "M 2"], camera: Camera) -> tuple[Float[Array, "M 2"], Float[Array, " M"]]:
@@ -107,9 +123,10 @@ def on_floor(pixels: Float[Array, "M 2"], camera: Camera) -> tuple[Float[Array, 
 
 def floor_motion(matches: PairMatches, camera: Camera, tolerance_m: float | Float[Array, ""]) -> LoopMeasurement:
     """i_from_j on the metric floor; differentiable in the camera. Matches beyond the tolerance count for nothing."""
-    points_i, variance_i = on_floor(matches.pixels_i, camera)
-    points_j, variance_j = on_floor(matches.pixels_j, camera)
-    return settle(points_i, points_j, variance_i + variance_j, matches.matched, matches.start, tolerance_m)
+    points_i, slopes = _with_slopes(jnp.linalg.inv(image_from_floor(camera)), matches.pixels_i)
+    points_j, _ = on_floor(matches.pixels_j, camera)
+    spread = slopes @ matches.spread @ jnp.swapaxes(slopes, 1, 2)
+    return settle(points_i, points_j, spread, matches.matched, matches.start, tolerance_m)
 
 
 def depth_motion(
@@ -130,21 +147,41 @@ def depth_motion(
     begin = jnp.append(shift, jnp.arctan2(rotation[1, 0], rotation[0, 0]))
     begin = jnp.where(near.sum() >= 3, begin, matches.start)
     variance = sum(VIEW_M**2 + (DEPTH_PER_M * points[:, 2] ** 2) ** 2 for points in ends)
-    return settle(i, j, jnp.asarray(variance), deep, begin, tolerance_m), deep
+    spread = jnp.asarray(variance)[:, None, None] * jnp.eye(2, dtype=i.dtype)[None]
+    return settle(i, j, spread, deep, begin, tolerance_m), deep
 
 
 def settle(
     points_i: Float[Array, "M 2"],
     points_j: Float[Array, "M 2"],
-    variance: Float[Array, " M"],
+    spread: Float[Array, "M 2 2"],
     matched: Bool[Array, " M"],
     start: Float[Array, "3"],
     tolerance_m: float | Float[Array, ""],
 ) -> LoopMeasurement:
-    """Reweighted least squares on p_i = R p_j + t from a start that is right to about the tolerance."""
+    """Reweighted least squares on p_i = R p_j + t from a start that is right to about the tolerance.
+
+    Args:
+      points_i: floor points in base_i, m.
+      points_j: their partners in base_j, m.
+      spread: covariance of p_i - R p_j - t, m^2, up to one factor.
+      matched: which rows count.
+      start: i_from_j.
+      tolerance_m: matches beyond count for nothing.
+    """
     dtype = points_i.dtype
     limit = jnp.asarray(tolerance_m, dtype) ** 2
     ridge = 1e-6 * jnp.eye(3, dtype=dtype)
+    # The inverse of the lower Cholesky factor of every spread: what it multiplies is white.
+    first = jnp.sqrt(spread[:, 0, 0])
+    slant = spread[:, 1, 0] / first
+    second = jnp.sqrt(spread[:, 1, 1] - slant**2)
+
+    def white(vectors):
+        """Of M x ... x 2."""
+        wide = (slice(None),) + (None,) * (vectors.ndim - 2)
+        x = vectors[..., 0] / first[wide]
+        return jnp.stack([x, (vectors[..., 1] - slant[wide] * x) / second[wide]], -1)
 
     def system(motion):
         c, s = jnp.cos(motion[2]), jnp.sin(motion[2])
@@ -152,17 +189,18 @@ def settle(
         residual = points_i - (points_j @ turn.T + motion[None, :2])
         squared = jnp.sum(residual**2, axis=1)
         near = matched & (squared < limit)
-        relative = squared / variance
+        plain = white(residual)
+        relative = jnp.sum(plain**2, axis=1)
         ranked = jnp.sort(jnp.where(near, relative, jnp.inf))
         count = near.sum()
         middle = jnp.where(count > 0, ranked[jnp.maximum(count // 2, 0)], 1.0)
-        factor = jnp.maximum(middle / MEDIAN, 0.05)
-        weight = jnp.where(near, (FREEDOM + 2) / ((FREEDOM + relative / factor) * variance * factor), 0)
+        factor = jnp.maximum(middle / MEDIAN, LEAST_FACTOR)
+        weight = jnp.where(near, (FREEDOM + 2) / ((FREEDOM + relative / factor) * factor), 0)
         spin = jnp.stack([-points_j[:, 1], points_j[:, 0]], -1) @ turn.T
         columns = jnp.broadcast_to(turn.T[None], (*squared.shape, 2, 2))
-        jacobian = jnp.concatenate([columns, spin[:, None, :]], axis=1)  # M x (3 unknowns) x 2
+        jacobian = white(jnp.concatenate([columns, spin[:, None, :]], axis=1))  # M x (3 unknowns) x 2
         hessian = jnp.einsum("m,mia,mja->ij", weight, jacobian, jacobian)
-        gradient = jnp.einsum("m,mia,ma->i", weight, jacobian, residual)
+        gradient = jnp.einsum("m,mia,ma->i", weight, jacobian, plain)
         return turn, hessian, gradient, jnp.sqrt(jnp.sum(weight * squared) / jnp.maximum(jnp.sum(weight), 1e-12))
 
     def step(motion, _):

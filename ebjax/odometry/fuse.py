@@ -11,6 +11,8 @@ from ebjax.odometry.chain import CARRIED_M, CARRIED_RAD, Edges, carried_on, sett
 from ebjax.odometry.steps import Steps
 from ebjax.odometry.wheels import Systematic, WheelErrors, corrected
 
+OWN_FLOOR = 0.5
+"""Power of `Steps.share` in the graph: the steps of a view share its errors in part, as each sees floor of its own."""
 CONTRADICTED = "contradicts the other steps"
 
 
@@ -47,7 +49,8 @@ def fuse(
     """Settles the chain of wheels and steps."""
     rows = np.arange(count - 1)
     used = np.flatnonzero(steps.used)
-    information = _information(steps, used)
+    # Whether a step is wrong is asked as if its views told nothing of their own.
+    information = _information(steps, used, 1.0)
     parts = [Edges(steps.i[used], steps.j[used], steps.i_from_j[used], information, np.ones(len(used), bool))]
     start = np.zeros((count - 1, 3))
     if wheels is not None:
@@ -86,9 +89,9 @@ def fuse(
     return Settled(chain, further, steps, poses, covariance, jumps, carried)
 
 
-def _information(steps: Steps, rows: Int[np.ndarray, " K"]) -> Float[np.ndarray, "K 3 3"]:
+def _information(steps: Steps, rows: Int[np.ndarray, " K"], shared: float = OWN_FLOOR) -> Float[np.ndarray, "K 3 3"]:
     """Of steps as edges: shared views are not counted twice, and a rotation says nothing of translation."""
-    wide = steps.covariance[rows] * steps.share()[rows, None, None]
+    wide = steps.covariance[rows] * steps.share()[rows, None, None] ** shared
     information = np.linalg.inv(wide)
     alone = steps.kind[rows] == "rotation"
     information[alone] = np.diag([CARRIED_M**-2, CARRIED_M**-2, 0.0])

@@ -3,7 +3,17 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from ebjax.evaluation.nees import between, log, mean_interval, nees, pairs_along, summaries, summary, tangent_errors
+from ebjax.evaluation.nees import (
+    between,
+    log,
+    mean_interval,
+    nees,
+    pairs_along,
+    summaries,
+    summary,
+    tangent_errors,
+    with_scale,
+)
 from ebjax.geometry import se2
 
 
@@ -60,3 +70,15 @@ def test_pairs_spread_along_the_path_and_keep_their_distance():
     assert len(pairs_along(standing, np.ones(30, bool), 1.0, 40)[0]) == 0
     # Frames too sparse for a metre are no pair of a metre.
     assert len(pairs_along(np.arange(10) * 3.0, np.ones(10, bool), 1.0, 40)[0]) == 0
+
+
+def test_a_common_scale_stretches_along_the_way_alone():
+    a_from_b = np.array([[20.0, 0.0, 0.0], [0.0, 5.0, np.pi / 2], [0.0, 0.0, 1.0]])
+    covariance = np.tile(1e-6 * np.eye(3), (3, 1, 1))
+    wider = with_scale(covariance, a_from_b, 1e-3)
+    # Right tangent: along b's own axes. b of the second looks along the way as well.
+    np.testing.assert_allclose(np.sqrt(wider[0].diagonal()), [np.hypot(0.02, 1e-3), 1e-3, 1e-3])
+    np.testing.assert_allclose(np.sqrt(wider[1].diagonal()), [np.hypot(0.005, 1e-3), 1e-3, 1e-3])
+    np.testing.assert_array_equal(wider[2], covariance[2])
+    scaled = a_from_b * [1.001, 1.001, 1.0]
+    assert nees(tangent_errors(a_from_b, scaled)[:1], wider[:1] - covariance[:1] + 1e-12 * np.eye(3)) < 1.01

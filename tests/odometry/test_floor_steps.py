@@ -166,6 +166,7 @@ def pairs_of(deep, count=5, noise_px=0.1, noise_depth=0.0005):
         *(np.stack(lifted) for lifted in points),
         np.ones((count, MATCHES), bool),
         np.tile(MOTION, (count, 1)),
+        np.tile(np.eye(2), (count, MATCHES, 1, 1)),
     )
 
 

@@ -38,7 +38,7 @@ def pairs(pitches, right=0.35):
         wrong = np.arange(COUNT) > right * COUNT
         pixels[0][wrong] = random.permutation(pixels[0][wrong])
         none, all_ = np.zeros((COUNT, 3)), np.ones(COUNT, bool)
-        found.append(PairMatches(*pixels, none, none, all_, np.zeros(3)))
+        found.append(PairMatches(*pixels, none, none, all_, np.zeros(3), np.tile(np.eye(2), (COUNT, 1, 1))))
         inliers.append(4 if pitches[k] != pitches[k - 1] else int(right * COUNT))
     matches = PairMatches(*(np.stack([getattr(m, f.name) for m in found]) for f in dataclasses.fields(PairMatches)))
     return FloorPairs(np.array([1, 2, 3]), np.array([0, 1, 2]), np.array(inliers), np.full(3, COUNT), matches)

@@ -65,8 +65,8 @@ def pairs_under(camera, count=40, seed=0):
         turn, moved = kabsch(theirs, ours, jnp.asarray(right, float))
         starts.append([*np.asarray(moved), float(np.arctan2(turn[1, 0], turn[0, 0]))])
     a, b = (np.stack([pair[k] for pair in pairs]) for k in (0, 1))
-    none = np.zeros((count, MATCHES, 3))
-    return PairMatches(a, b, none, none, np.ones((count, MATCHES), bool), np.array(starts))
+    none, alike = np.zeros((count, MATCHES, 3)), np.tile(np.eye(2), (count, MATCHES, 1, 1))
+    return PairMatches(a, b, none, none, np.ones((count, MATCHES), bool), np.array(starts), alike)
 
 
 def off_deg(camera):

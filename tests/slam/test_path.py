@@ -40,7 +40,7 @@ def motion_of(poses, frames=FRAMES):
         none, none, np.zeros(0, object), none, none, np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(0, object)
     )
     deep = np.zeros((0, 8, 3))
-    matches = PairMatches(flat, flat, deep, deep, np.zeros((0, 8), bool), np.zeros((0, 3)))
+    matches = PairMatches(flat, flat, deep, deep, np.zeros((0, 8), bool), np.zeros((0, 3)), np.zeros((0, 8, 2, 2)))
     return Motion(
         frames=frames,
         camera=camera_over_floor(400.0, 400.0, 320.0, 240.0, 640, 480, 0.6, 0.5),

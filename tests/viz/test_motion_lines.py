@@ -37,7 +37,7 @@ def motion(**changed):
     chain = Edges(rows, rows + 1, np.diff(poses, axis=0), np.tile(np.eye(3), (4, 1, 1)), np.zeros(4, bool))
     none = rows[:0]
     deep, flat = np.zeros((0, 4, 3)), np.zeros((0, 4, 2))
-    matches = PairMatches(flat, flat, deep, deep, np.zeros((0, 4), bool), np.zeros((0, 3)))
+    matches = PairMatches(flat, flat, deep, deep, np.zeros((0, 4), bool), np.zeros((0, 3)), np.zeros((0, 4, 2, 2)))
     plain = Motion(
         frames=FRAMES,
         camera=camera_over_floor(400.0, 400.0, 320.0, 240.0, 640, 480, 0.6, 0.5),
