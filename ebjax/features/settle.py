@@ -29,8 +29,6 @@ from ebjax.views.run_view import RunView
 
 VIEW_M = 0.001
 """Standard deviation of a point in a floor view of 1 cm a pixel, m."""
-IMAGE_PX = 0.18
-"""... and in the image, px: at the distance d from a camera at height h, one covers (h^2 + d^2) / (h f) metres."""
 DEPTH_PER_M = 0.001
 """... and of the mean depth around it, m at 1 m; grows with the square of the range."""
 FREEDOM = 3.0
@@ -112,20 +110,33 @@ def _with_slopes(
     return moved, slopes / below[:, None, None]
 
 
-def on_floor(pixels: Float[Array, "M 2"], camera: Camera) -> tuple[Float[Array, "M 2"], Float[Array, " M"]]:
-    """Floor points in base, m, and the variance of each, m^2, up to a factor."""
-    points = apply(jnp.linalg.inv(image_from_floor(camera)), pixels)
-    pose, focal = jnp.asarray(camera.base_from_camera), camera.intrinsics[0, 0]
-    squared = jnp.sum((points - pose[None, :2, 3]) ** 2, axis=1)
-    coarse = (pose[2, 3] ** 2 + squared) / (pose[2, 3] * focal)
-    return points, VIEW_M**2 + (IMAGE_PX * coarse) ** 2
+def on_floor(pixels: Float[Array, "M 2"], camera: Camera) -> Float[Array, "M 2"]:
+    """Where pixels of the raw image lie on the floor in base, m."""
+    return apply(jnp.linalg.inv(image_from_floor(camera)), pixels)
+
+
+def spread_on_floor(
+    matches: PairMatches, camera: Camera
+) -> tuple[Float[Array, "M 2"], Float[Array, "M 2"], Float[Array, "M 2 2"]]:
+    """Floor points in base_i and base_j, m, and the covariance of the first as partners of the second, m^2."""
+    floor_from_image = jnp.linalg.inv(image_from_floor(camera))
+    points_i, slopes = _with_slopes(floor_from_image, matches.pixels_i)
+    spread = slopes @ matches.spread @ jnp.swapaxes(slopes, 1, 2)
+    return points_i, apply(floor_from_image, matches.pixels_j), spread
+
+
+def white(vectors: Float[Array, "... 2"], spread: Float[Array, "... 2 2"]) -> Float[Array, "... 2"]:
+    """L^-1 v, where L L^T is the spread; broadcasts."""
+    first = jnp.sqrt(spread[..., 0, 0])
+    slant = spread[..., 1, 0] / first
+    second = jnp.sqrt(spread[..., 1, 1] - slant**2)
+    x = vectors[..., 0] / first
+    return jnp.stack([x, (vectors[..., 1] - slant * x) / second], -1)
 
 
 def floor_motion(matches: PairMatches, camera: Camera, tolerance_m: float | Float[Array, ""]) -> LoopMeasurement:
     """i_from_j on the metric floor; differentiable in the camera. Matches beyond the tolerance count for nothing."""
-    points_i, slopes = _with_slopes(jnp.linalg.inv(image_from_floor(camera)), matches.pixels_i)
-    points_j, _ = on_floor(matches.pixels_j, camera)
-    spread = slopes @ matches.spread @ jnp.swapaxes(slopes, 1, 2)
+    points_i, points_j, spread = spread_on_floor(matches, camera)
     return settle(points_i, points_j, spread, matches.matched, matches.start, tolerance_m)
 
 
@@ -138,7 +149,7 @@ def depth_motion(
     ends = matches.points_i, matches.points_j
     i, j = (points @ pose[:2, :3].T + pose[None, :2, 3] for points in ends)
     # A wrong height scales what RANSAC found on the floor; its inliers say where depth has the same motion.
-    (floor_i, _), (floor_j, _) = on_floor(matches.pixels_i, camera), on_floor(matches.pixels_j, camera)
+    floor_i, floor_j = on_floor(matches.pixels_i, camera), on_floor(matches.pixels_j, camera)
     c, s = jnp.cos(matches.start[2]), jnp.sin(matches.start[2])
     turn = jnp.stack([jnp.stack([c, -s]), jnp.stack([s, c])])
     off = floor_i - (floor_j @ turn.T + matches.start[None, :2])
@@ -172,16 +183,6 @@ def settle(
     dtype = points_i.dtype
     limit = jnp.asarray(tolerance_m, dtype) ** 2
     ridge = 1e-6 * jnp.eye(3, dtype=dtype)
-    # The inverse of the lower Cholesky factor of every spread: what it multiplies is white.
-    first = jnp.sqrt(spread[:, 0, 0])
-    slant = spread[:, 1, 0] / first
-    second = jnp.sqrt(spread[:, 1, 1] - slant**2)
-
-    def white(vectors):
-        """Of M x ... x 2."""
-        wide = (slice(None),) + (None,) * (vectors.ndim - 2)
-        x = vectors[..., 0] / first[wide]
-        return jnp.stack([x, (vectors[..., 1] - slant[wide] * x) / second[wide]], -1)
 
     def system(motion):
         c, s = jnp.cos(motion[2]), jnp.sin(motion[2])
@@ -189,7 +190,7 @@ def settle(
         residual = points_i - (points_j @ turn.T + motion[None, :2])
         squared = jnp.sum(residual**2, axis=1)
         near = matched & (squared < limit)
-        plain = white(residual)
+        plain = white(residual, spread)
         relative = jnp.sum(plain**2, axis=1)
         ranked = jnp.sort(jnp.where(near, relative, jnp.inf))
         count = near.sum()
@@ -198,7 +199,8 @@ def settle(
         weight = jnp.where(near, (FREEDOM + 2) / ((FREEDOM + relative / factor) * factor), 0)
         spin = jnp.stack([-points_j[:, 1], points_j[:, 0]], -1) @ turn.T
         columns = jnp.broadcast_to(turn.T[None], (*squared.shape, 2, 2))
-        jacobian = white(jnp.concatenate([columns, spin[:, None, :]], axis=1))  # M x (3 unknowns) x 2
+        jacobian = jnp.concatenate([columns, spin[:, None, :]], axis=1)  # M x (3 unknowns) x 2
+        jacobian = white(jacobian, spread[:, None])
         hessian = jnp.einsum("m,mia,mja->ij", weight, jacobian, jacobian)
         gradient = jnp.einsum("m,mia,ma->i", weight, jacobian, plain)
         return turn, hessian, gradient, jnp.sqrt(jnp.sum(weight * squared) / jnp.maximum(jnp.sum(weight), 1e-12))

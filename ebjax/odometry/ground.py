@@ -49,7 +49,7 @@ def _agreeing(matches: PairMatches, motion: Float[Array, "3"], camera: Camera, t
         nod = jnp.stack([jnp.stack([c, zero, s]), jnp.stack([zero, one, zero]), jnp.stack([-s, zero, c])])
         pose = jnp.asarray(camera.base_from_camera)
         tilted = dataclasses.replace(camera, base_from_camera=pose.at[:3].set(nod @ pose[:3]))
-        return on_floor(matches.pixels_i, tilted)[0], on_floor(matches.pixels_j, tilted)[0]
+        return on_floor(matches.pixels_i, tilted), on_floor(matches.pixels_j, tilted)
 
     def count(i, j):
         off = i - (j @ turn.T + motion[None, :2])

@@ -1,9 +1,9 @@
 """The camera's mount checks itself: pitch and roll from how matched floor points fail to move rigidly.
 
 A floor point at the distance d moves by (h^2 + d^2) / h per radian of pitch, so that a pair seen under a wrong tilt
-fits no planar motion. Every pair's motion is an unknown of its own and is eliminated (Schur); residuals are divided by
-what a pixel covers of the floor there, under the same mount: metric ones would shrink the picture. Height cannot be
-told by that, as it only scales.
+fits no planar motion. Every pair's motion is an unknown of its own and is eliminated (Schur); residuals are whitened by
+what the match spreads over the floor under the same mount: metric ones would shrink the picture. Height cannot be told
+by that, as it only scales.
 """
 
 import dataclasses
@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ebjax.features.settle import FREEDOM, MEDIAN, PairMatches, on_floor
+from ebjax.features.settle import FREEDOM, LEAST_FACTOR, MEDIAN, PairMatches, spread_on_floor, white
 from ebjax.geometry.camera import Camera
 from ebjax.geometry.mount import Mounting, remounted
 
@@ -54,46 +54,39 @@ def tilted(camera: Camera, tilt: Float[Array, "2"]) -> Camera:
     return remounted(camera, Mounting(tilt[0], tilt[1], jnp.zeros_like(tilt[0])))
 
 
-def _looked(tilt: Float[Array, "2"], pixels: Float[Array, "P M 2"], camera: Camera):
-    """Floor points and their variance under a tilt."""
-    points, variance = on_floor(pixels.reshape(-1, 2), tilted(camera, tilt))
-    return points.reshape(pixels.shape), variance.reshape(pixels.shape[:2])
-
-
 @jax.jit
 def _solve(matches: PairMatches, use: Float[Array, " P"], camera: Camera, tolerance_m: float | Float[Array, ""]):
     axes = jnp.eye(2)
 
     def whitened(tilt, motions):
-        """Residuals of p_i = R p_j + t in what a pixel covers, P x M x 2, and in metres."""
-        points_i, variance_i = _looked(tilt, matches.pixels_i, camera)
-        points_j, variance_j = _looked(tilt, matches.pixels_j, camera)
+        """Residuals of p_i = R p_j + t, whitened and in metres, P x M x 2."""
+        here = tilted(camera, tilt)
+        points_i, points_j, spread = jax.vmap(lambda pair: spread_on_floor(pair, here))(matches)
         c, s = jnp.cos(motions[:, 2, None]), jnp.sin(motions[:, 2, None])
         x, y = points_j[..., 0], points_j[..., 1]
         moved = jnp.stack([c * x - s * y, s * x + c * y], -1)
         metric = points_i - moved - motions[:, None, :2]
-        sigma = jnp.sqrt(variance_i + variance_j)[..., None]
-        return metric / sigma, metric, moved, sigma
+        return white(metric, spread), metric, moved, spread
 
     def round_(state, _):
         tilt, motions = state
-        white, metric, moved, sigma = whitened(tilt, motions)
+        plain, metric, moved, spread = whitened(tilt, motions)
         by_tilt = jnp.stack([jax.jvp(lambda t: whitened(t, motions)[0], (tilt,), (axis,))[1] for axis in axes], -1)
-        zero, one = jnp.zeros_like(sigma), jnp.ones_like(sigma)
-        by_x, by_y = jnp.concatenate([-one, zero], -1), jnp.concatenate([zero, -one], -1)
+        by_x, by_y = (jnp.broadcast_to(-axis, moved.shape) for axis in axes)
         by_turn = jnp.stack([moved[..., 1], -moved[..., 0]], -1)
-        both = jnp.concatenate([by_tilt, jnp.stack([by_x, by_y, by_turn], -1) / sigma[..., None]], -1)
+        by_motion = [white(column, spread) for column in (by_x, by_y, by_turn)]
+        both = jnp.concatenate([by_tilt, jnp.stack(by_motion, -1)], -1)
         near = matches.matched & (jnp.sum(metric**2, -1) < tolerance_m**2)
-        relative = jnp.sum(white**2, -1)
+        relative = jnp.sum(plain**2, -1)
         ranked = jnp.sort(jnp.where(near, relative, jnp.inf), axis=1)
         middle = jnp.take_along_axis(ranked, near.sum(1, keepdims=True) // 2, axis=1)
-        factor = jnp.maximum(jnp.where(jnp.isfinite(middle), middle, 1.0) / MEDIAN, 0.05)
+        factor = jnp.maximum(jnp.where(jnp.isfinite(middle), middle, 1.0) / MEDIAN, LEAST_FACTOR)
         weight = (FREEDOM + 2) / ((FREEDOM + relative / factor) * factor)
         weight = jnp.where(near, weight * use[:, None], 0)[..., None]
         flat = (len(use), -1)
         weighted = (both * weight[..., None]).reshape(*flat, 5)
         hessian = jnp.swapaxes(weighted, 1, 2) @ both.reshape(*flat, 5) + 1e-9 * jnp.eye(5)[None]
-        gradient = jnp.sum(weighted * white.reshape(*flat, 1), 1)
+        gradient = jnp.sum(weighted * plain.reshape(*flat, 1), 1)
         tt, tm, mm = hessian[:, :2, :2], hessian[:, :2, 2:], hessian[:, 2:, 2:]
         back = jnp.linalg.solve(mm, jnp.concatenate([jnp.swapaxes(tm, 1, 2), gradient[:, 2:, None]], -1))
         prior = jnp.eye(2) / jnp.radians(PRIOR_DEG) ** 2
@@ -125,7 +118,7 @@ def refine_tilt(
         rows = rows[np.linspace(0, len(rows) - 1, PAIRS).round().astype(int)]
     padded = np.resize(rows, PAIRS)
     some = jax.tree.map(lambda leaf: leaf[padded], matches)
-    names = ("pixels_i", "pixels_j", "points_i", "points_j", "matched")
+    names = ("pixels_i", "pixels_j", "points_i", "points_j", "matched", "spread")
     some = dataclasses.replace(some, **{name: getattr(some, name)[:, :MATCHES] for name in names})
     use = np.where(np.arange(PAIRS) < len(rows), 1.0, 0.0)
     tilt, covariance = (np.asarray(x) for x in _solve(some, use, camera, 2 * tolerance_m))

@@ -7,7 +7,16 @@ import pytest
 
 from ebjax.features.landmarks import Landmarks
 from ebjax.features.matching import Features
-from ebjax.features.settle import EXCESS, PairMatches, depth_motion, floor_motion, on_floor, pair_matches, settle
+from ebjax.features.settle import (
+    EXCESS,
+    PairMatches,
+    depth_motion,
+    floor_motion,
+    on_floor,
+    pair_matches,
+    settle,
+    spread_on_floor,
+)
 from ebjax.features.verify import Verified
 from ebjax.geometry import planar
 from ebjax.geometry.camera import camera_over_floor, image_from_floor, project
@@ -63,17 +72,11 @@ def nees(off, covariance):
     return np.einsum("na,nab,nb->n", off, np.linalg.inv(np.asarray(covariance)), off)
 
 
-@jax.jit
-def seen_again(points, camera):
-    return on_floor(apply(image_from_floor(camera), points), camera)
-
-
-def variance_on_floor(points, camera=CAMERA):
-    # One shape for one patch and for many.
-    padded = np.resize(points.reshape(-1, 2), (DRAWS * COUNT, 2))
-    seen, variance = seen_again(padded, camera)
-    np.testing.assert_allclose(seen, padded, atol=1e-9)
-    return np.asarray(variance)[: points.size // 2].reshape(points.shape[:-1])
+def variance_on_floor(points):
+    """Of a millimetre, and of 0.18 px, of which one covers (h^2 + d^2) / (h f) at the distance d."""
+    height, focal = float(CAMERA.base_from_camera[2, 3]), 380.0
+    squared = np.sum((points - np.asarray(CAMERA.base_from_camera)[:2, 3]) ** 2, -1)
+    return 1e-6 + (0.18 * (height**2 + squared) / (height * focal)) ** 2
 
 
 def student(random, shape, freedom):
@@ -220,14 +223,23 @@ def test_floor_motion_recovers_the_motion():
     assert off @ np.linalg.solve(noisy.covariance, off) < 16.27
 
 
-def test_variance_on_the_floor_grows_with_the_distance_and_shrinks_with_height():
-    points = np.stack([np.linspace(0.8, 2.8, 9), np.zeros(9)], 1)
-    near = variance_on_floor(points)
-    assert (np.diff(near) > 0).all()
-    pose = np.array(CAMERA.base_from_camera)
-    pose[2, 3] += 0.5
-    high = variance_on_floor(points, dataclasses.replace(CAMERA, base_from_camera=jnp.asarray(pose)))
-    assert high[-1] < near[-1]
+def test_pixels_come_back_to_the_floor():
+    points = patch(np.random.default_rng(14), COUNT)
+    pixels = apply(image_from_floor(CAMERA), jnp.asarray(points))
+    np.testing.assert_allclose(on_floor(pixels, CAMERA), points, atol=1e-9)
+
+
+def test_a_pixel_spreads_over_more_floor_the_farther_it_is():
+    matches = noisy_matches(np.random.default_rng(15), AHEAD, 0.0, wrong=0)
+    points, _, spread = jax.jit(spread_on_floor)(matches, CAMERA)
+    assert np.corrcoef(points[:, 0], np.log(np.linalg.det(spread)))[0, 1] > 0.95
+    pixel = 1e-3
+    for axis in (0, 1):
+        moved = on_floor(matches.pixels_i + pixel * jnp.eye(2)[None, axis], CAMERA) - points
+        slopes = moved / pixel
+        along = np.asarray(slopes[:, :, None] * slopes[:, None, :])
+        spread = spread - along
+    np.testing.assert_allclose(spread, 0, atol=1e-6)
 
 
 @pytest.mark.parametrize("motion", [AHEAD, OPPOSITE])

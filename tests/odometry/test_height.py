@@ -42,7 +42,7 @@ def test_height_from_wheels_is_the_posterior(height, ratio, sigma, scale):
 def seen(true, thought, points):
     """Where a camera thought to be elsewhere puts points of the floor."""
     pixels, _ = project(true, np.concatenate([points, np.zeros((len(points), 1))], 1))
-    return np.asarray(on_floor(pixels, thought)[0])
+    return np.asarray(on_floor(pixels, thought))
 
 
 def test_good_wheels_tell_the_height_of_a_camera():

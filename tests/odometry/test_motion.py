@@ -51,7 +51,7 @@ def seen_from(camera, view, poses):
     assert least > 60
     rows, keypoints, pixels = (np.stack([part[:FEATURES] for part in whole]) for whole in (rows, keypoints, pixels))
     features = Features(keypoints, descriptors[rows], np.ones(rows.shape, bool))
-    floor, _ = on_floor(jnp.asarray(pixels.reshape(-1, 2)), camera)
+    floor = on_floor(jnp.asarray(pixels.reshape(-1, 2)), camera)
     none = np.zeros(rows.shape)
     points, grey = np.asarray(floor).reshape(pixels.shape), np.zeros((len(rows), *view.size), np.uint8)
     return Landmarks(features, points, np.zeros((*rows.shape, 3)), none, pixels, grey)

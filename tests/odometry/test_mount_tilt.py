@@ -61,7 +61,7 @@ def pairs_under(camera, count=40, seed=0):
     pairs = pixels_of_pairs(count, seed)
     starts = []
     for a, b, right in pairs:
-        ours, theirs = (on_floor(jnp.asarray(pixels), camera)[0] for pixels in (a, b))
+        ours, theirs = (on_floor(jnp.asarray(pixels), camera) for pixels in (a, b))
         turn, moved = kabsch(theirs, ours, jnp.asarray(right, float))
         starts.append([*np.asarray(moved), float(np.arctan2(turn[1, 0], turn[0, 0]))])
     a, b = (np.stack([pair[k] for pair in pairs]) for k in (0, 1))
