@@ -22,7 +22,7 @@ import numpy as np
 import tyro
 
 from ebjax.command import run
-from ebjax.evaluation.nees import SCALE_SIGMA, between, pairs_along, summaries, table, tangent_errors, with_scale
+from ebjax.evaluation.nees import between, summaries, table, tangent_errors
 from ebjax.evaluation.nees_tables import read_measurements
 from ebjax.evaluation.trajectory import ALIGNMENTS, arc_length, arc_length_association, associate, ate, rpe
 from ebjax.io.atomic import whole_file
@@ -181,61 +181,13 @@ class NeesConfig:
     """Folder for nees.json; none is written without it."""
 
 
-def _frames_and_truth(config: NeesConfig) -> tuple[np.ndarray, np.ndarray]:
-    """Times of the run's frames, and their true poses (x, y, heading), NaN where there is none."""
-    from ebjax.io.sequence import poses_at
-    from ebjax.slam.world import planar
-
-    frames, reference = read(config.run / "trajectory.tum"), read(config.reference)
-    for file in (frames, reference):
-        if not file.timed:
-            raise ValueError(f"{file.path}: it has no times; give TUM rows `timestamp tx ty tz qx qy qz qw`")
-    poses, found = poses_at(reference, frames.timestamps, config.max_time_difference_s)
-    if found.sum() < 2:
-        first, last = reference.timestamps[[0, -1]]
-        raise ValueError(
-            f"{config.reference}: from {first:.3f} to {last:.3f} s, it has a true pose for {found.sum()} of the run's "
-            f"{len(found)} frames, from {frames.timestamps[0]:.3f} to {frames.timestamps[-1]:.3f} s; "
-            "give the reference of this run, on the same clock"
-        )
-    return frames.timestamps, planar(poses)
-
-
-def _relative(config: NeesConfig, truth: np.ndarray) -> dict[str, Any]:
-    """NEES of relative poses by distance, from the marginals of the solved pose graph."""
-    from ebjax.posegraph.g2o import read_g2o
-    from ebjax.posegraph.graph import components
-    from ebjax.posegraph.marginals import relative_marginals
-
-    path = config.run / "pose_graph.g2o"
-    graph, ids = read_g2o(path)
-    rows = np.argsort(ids, kind="stable")
-    strange = rows[(ids[rows] < 0) | (ids[rows] >= len(truth))]
-    if graph.group != "se2" or len(strange):
-        lack = "is not a planar graph" if graph.group != "se2" else f"has vertex {ids[strange[0]]}, no frame of the run"
-        raise ValueError(f"{path}: it {lack}; take it from the run that wrote trajectory.tum")
-    truth, poses = truth[ids[rows]], np.asarray(graph.poses)[rows]
-    piece = components(len(ids), np.asarray(graph.i), np.asarray(graph.j))[rows]
-    path_m = arc_length(np.concatenate([poses[:, :2], np.zeros((len(poses), 1))], 1))
-    results: dict[str, Any] = {}
-    for distance in config.distances:
-        a, b = pairs_along(path_m, np.isfinite(truth).all(1), distance, config.pairs)
-        a, b = a[piece[a] == piece[b]], b[piece[a] == piece[b]]
-        covariance = np.asarray(relative_marginals(graph, rows[a], rows[b], kernel="none"))
-        if not np.isfinite(covariance).all() or (len(a) and (np.linalg.eigvalsh(covariance)[:, 0] <= 0).any()):
-            raise ValueError(f"{path}: its marginals are not positive definite; correct the information of its edges")
-        apart = between(poses[a], poses[b])
-        covariance = with_scale(covariance, apart)
-        error = tangent_errors(apart, between(truth[a], truth[b]))
-        results[f"{distance:g} m"] = summaries(error, covariance).get("all")
-    return results
-
-
 def nees(config: NeesConfig) -> None:
     """Prints the table and what was left out; with --out, writes nees.json."""
     if not config.distances or min(config.distances) <= 0 or config.pairs < 1:
         raise ValueError("--distances and --pairs must be positive")
-    times, truth = _frames_and_truth(config)
+    from ebjax.viz.run_errors import frames_and_truth, relative_errors, scale_sigma
+
+    times, truth = frames_and_truth(config.run, config.reference, config.max_time_difference_s)
     notes = [f"truth for {np.isfinite(truth).all(1).sum()} of {len(truth)} frames"]
     results: dict[str, Any] = {}
     for name, table_file, flag, groups in (
@@ -253,9 +205,10 @@ def nees(config: NeesConfig) -> None:
         notes.append(f"{path}: {rows.rows} rows, {len(error)} {flag}, {known} of them with truth")
         if not known:
             notes[-1] += f"; the {name} are left out"
-    relative = _relative(config, truth)
+    scale = scale_sigma(config.run)
+    relative = relative_errors(config.run, truth, config.distances, config.pairs, scale)
     results["relative"] = {name: values for name, values in relative.items() if values}
-    notes.append(f"relative poses: from the graph's marginals, and a common scale of {100 * SCALE_SIGMA:.3f} %")
+    notes.append(f"relative poses: the graph's marginals, and a scale known to {100 * scale:.3f} % (metrics.json)")
     notes += [f"relative, {name}: no two frames with truth are that far apart" for name, v in relative.items() if not v]
     print("\n".join([*table(results), *notes]))
     if config.out is not None:

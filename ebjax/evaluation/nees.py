@@ -12,9 +12,6 @@ from jaxtyping import Bool, Float, Int
 from scipy.special import gammaincinv
 
 DEGREES_OF_FREEDOM = 3
-SCALE_SIGMA = 7e-5
-"""Of the floor's scale, which all measurements of a run share: optics, compression and corners' blur pull alike. The
-independent edges of a graph cannot say it, and over many metres it is what is left."""
 COLUMNS = ("n", "mean", "median", "95 % of mean", "rms m", "sigma m", "rms deg", "sigma deg")
 
 
@@ -46,9 +43,9 @@ def nees(error: Float[np.ndarray, "K 3"], covariance: Float[np.ndarray, "K 3 3"]
 
 
 def with_scale(
-    covariance: Float[np.ndarray, "K 3 3"], a_from_b: Float[np.ndarray, "K 3"], sigma: float = SCALE_SIGMA
+    covariance: Float[np.ndarray, "K 3 3"], a_from_b: Float[np.ndarray, "K 3"], sigma: float
 ) -> Float[np.ndarray, "K 3 3"]:
-    """Covariances of relative poses, right tangent, of which the common scale is uncertain too."""
+    """Covariances of relative poses, right tangent, where a scale that all share has the standard deviation `sigma`."""
     c, s, (x, y, _) = np.cos(a_from_b[:, 2]), np.sin(a_from_b[:, 2]), a_from_b.T
     stretch = sigma * np.stack([c * x + s * y, c * y - s * x, np.zeros(len(a_from_b))], 1)
     return covariance + stretch[:, :, None] * stretch[:, None, :]

@@ -1,15 +1,15 @@
 """Where a corner of one floor view lies in another, to a few hundredths of a pixel: aligned patches, not two corners.
 
 A corner is a peak of contrast, and contrast falls with the distance from the camera. So a corner is found a little
-nearer than what makes it, the farther the more: steps come out short by 0.03 %, which adds up. The patch around it
-has no such pull, and says more (Lucas and Kanade, 1981): steps err by half as much.
+nearer than what makes it, the farther the more, and steps come out short, which adds up. The patch around it has no
+such pull, and says more (Lucas and Kanade, 1981).
 """
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, UInt8
 
-from ebjax.geometry.homography import apply
+from ebjax.geometry.homography import apply, slopes
 
 RADIUS = 5
 SIDE = 2 * RADIUS + 1
@@ -61,12 +61,9 @@ def aligned(
     weight = jnp.exp(-jnp.sum(grid[1:-1, 1:-1] ** 2, -1) / (2 * SPREAD_PX**2))
     weight = (weight / weight.sum())[None]
 
-    # A patch is so small that the homography is affine over it: partner + A offset, A from central differences.
-    middle, inverse = apply(homography, partners), jnp.linalg.inv(homography)
-    axes = jnp.eye(2, dtype=jnp.float32)
-    affine = [(apply(inverse, middle + axis[None]) - apply(inverse, middle - axis[None])) / 2 for axis in axes]
-    across, down = (a[:, None, None, :] for a in affine)
-    back = partners[:, None, None, :] + across * grid[None, :, :, :1] + down * grid[None, :, :, 1:]
+    # A patch is so small that the homography is affine over it.
+    affine = slopes(jnp.linalg.inv(homography), apply(homography, partners))
+    back = partners[:, None, None, :] + jnp.einsum("mab,ijb->mija", affine, grid)
     wide = _bilinear(view_j.astype(jnp.float32), back)
     gx = (wide[:, 1:-1, 2:] - wide[:, 1:-1, :-2]) / 2
     gy = (wide[:, 2:, 1:-1] - wide[:, :-2, 1:-1]) / 2
@@ -109,7 +106,7 @@ def aligned(
 
 
 def _bilinear(image: Float[Array, "h w"], points: Float[Array, "*n 2"]) -> Float[Array, " *n"]:
-    """Values at points, anyhow continued outside."""
+    """Values at points, anyhow outside: half the time of `geometry.warp.sample_bilinear`, which fades there."""
     height, width = image.shape
     corner = jnp.floor(points)
     x, y = points[..., 0] - corner[..., 0], points[..., 1] - corner[..., 1]

@@ -23,7 +23,7 @@ from ebjax.features.landmarks import Landmarks
 from ebjax.features.measure import LoopMeasurement
 from ebjax.features.verify import Verified
 from ebjax.geometry.camera import Camera, backproject, image_from_floor
-from ebjax.geometry.homography import apply
+from ebjax.geometry.homography import apply, slopes
 from ebjax.geometry.rigid import kabsch
 from ebjax.views.run_view import RunView
 
@@ -93,21 +93,12 @@ def pair_matches(ours: Landmarks, theirs: Landmarks, found: Verified, view: RunV
     shift = apply(floor_from_view, moved) - apply(floor_from_view, corners)
     shift = shift @ jnp.asarray(camera.base_from_camera)[:2, :3]
     points = lifted(ours, q) + jnp.where(ours.range_m[q][:, None] > 0, shift, 0)
-    pixels, slopes = _with_slopes(view.image_from_view, moved)
+    along = slopes(view.image_from_view, moved)
     # Where an image pixel covers many of the view's, the view's noise is as coarse as they are.
-    coarse = 1 + jnp.sum(jnp.linalg.inv(slopes) ** 2, (1, 2))
-    spread = coarse[:, None, None] * (slopes @ covariance @ jnp.swapaxes(slopes, 1, 2))
+    coarse = 1 + jnp.sum(jnp.linalg.inv(along) ** 2, (1, 2))
+    spread = coarse[:, None, None] * (along @ covariance @ jnp.swapaxes(along, 1, 2))
+    pixels = apply(view.image_from_view, moved)
     return PairMatches(pixels, theirs.pixels[r], points, lifted(theirs, r), found.matched, start, spread)
-
-
-def _with_slopes(
-    homography: Float[Array, "3 3"], points: Float[Array, "M 2"]
-) -> tuple[Float[Array, "M 2"], Float[Array, "M 2 2"]]:
-    """Where a homography puts points, and its derivative there."""
-    moved = apply(homography, points)
-    below = points @ homography[2, :2] + homography[2, 2]
-    slopes = homography[None, :2, :2] - moved[:, :, None] * homography[2, :2][None, None]
-    return moved, slopes / below[:, None, None]
 
 
 def on_floor(pixels: Float[Array, "M 2"], camera: Camera) -> Float[Array, "M 2"]:
@@ -120,9 +111,9 @@ def spread_on_floor(
 ) -> tuple[Float[Array, "M 2"], Float[Array, "M 2"], Float[Array, "M 2 2"]]:
     """Floor points in base_i and base_j, m, and the covariance of the first as partners of the second, m^2."""
     floor_from_image = jnp.linalg.inv(image_from_floor(camera))
-    points_i, slopes = _with_slopes(floor_from_image, matches.pixels_i)
-    spread = slopes @ matches.spread @ jnp.swapaxes(slopes, 1, 2)
-    return points_i, apply(floor_from_image, matches.pixels_j), spread
+    points_i, points_j = (apply(floor_from_image, pixels) for pixels in (matches.pixels_i, matches.pixels_j))
+    along = slopes(floor_from_image, matches.pixels_i)
+    return points_i, points_j, along @ matches.spread @ jnp.swapaxes(along, 1, 2)
 
 
 def white(vectors: Float[Array, "... 2"], spread: Float[Array, "... 2 2"]) -> Float[Array, "... 2"]:

@@ -41,6 +41,14 @@ def apply(homography: Float[Arrays, "3 3"], points: Float[Arrays, "N 2"]) -> Flo
 
 
 @jax.jit
+def slopes(homography: Float[Arrays, "3 3"], points: Float[Arrays, "N 2"]) -> Float[Array, "N 2 2"]:
+    """The derivative of `apply` at points: d(moved x, moved y) / d(x, y)."""
+    homography, points = jnp.asarray(homography), jnp.asarray(points)
+    moved = apply(homography, points)
+    along = homography[None, :2, :2] - moved[:, :, None] * homography[2, :2][None, None]
+    return along / denominator(homography, points)[:, None, None]
+
+
 def orient(homography: Float[Arrays, "3 3"], point: Float[Arrays, "2"]) -> Float[Array, "3 3"]:
     """Flips the sign of H so that w > 0 at a point known to be in front; needed after inverting a fitted homography."""
     h = jnp.asarray(homography)

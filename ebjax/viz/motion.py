@@ -12,7 +12,7 @@ from jaxtyping import Float
 from ebjax.evaluation.run import reason_counts
 from ebjax.io.sequence import Sequence
 from ebjax.odometry.motion import Motion
-from ebjax.odometry.steps import USED
+from ebjax.odometry.steps import SCALE_SIGMA, USED
 
 COLUMNS = (
     *("i", "j", "name_i", "name_j", "time_i_s", "time_j_s", "gap", "kind", "inliers", "matches"),
@@ -80,6 +80,7 @@ def motion_metrics(motion: Motion) -> dict[str, Any]:
             "applied": motion.tilt.applied,
             **({} if motion.reach is None else dataclasses.asdict(motion.reach)),
         },
+        "scale_sigma": SCALE_SIGMA,
         "warnings": list(motion.warnings),
     }
 

@@ -251,3 +251,28 @@ def test_the_reference_must_be_named(tmp_path, capsys):
     with pytest.raises(SystemExit) as stop:
         run(nees, NeesConfig, [str(tmp_path)])
     assert stop.value.code == 2 and "--reference" in capsys.readouterr().err
+
+
+def test_the_scale_that_a_run_says_it_shares_counts_in_relative_poses(tmp_path, capsys):
+    folder = write_run(tmp_path)
+    before = results(folder)
+    (folder / "metrics.json").write_text('{"motion": {"scale_sigma": 0.01}}')
+    after = results(folder)
+    assert "a scale known to 1.000 %" in capsys.readouterr().out
+    assert after["steps"] == before["steps"] and after["closures"] == before["closures"]
+    for name in ("5 m", "20 m"):
+        assert after["relative"][name]["nees_mean"] < before["relative"][name]["nees_mean"]
+    assert after["relative"]["20 m"]["rms_sigma_m"] > 0.05
+    (folder / "metrics.json").write_text('{"motion": null}')
+    assert results(folder) == before
+
+
+@pytest.mark.parametrize("text", ["{", "[]", '{"motion": {"scale_sigma": "x"}}', '{"motion": {"scale_sigma": -1}}'])
+def test_damaged_metrics_are_named(tmp_path, capsys, text):
+    folder = write_run(tmp_path)
+    (folder / "metrics.json").write_text(text)
+    with pytest.raises(SystemExit) as stopped:
+        command(folder)
+    assert stopped.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "metrics.json" in line and "take it from the run, or remove it" in line

@@ -114,3 +114,10 @@ def test_jit_vmap_and_float32(points):
         p, jnp.stack([p, 2 * p]), jnp.ones(40, jnp.float32)
     )
     np.testing.assert_allclose(both, np.stack([np.eye(3), np.diag([2, 2, 1])]), atol=2e-3)
+
+
+def test_slopes_are_the_derivative_of_apply():
+    matrix = jnp.array([[1.2, 0.3, 40.0], [-0.1, 0.8, 7.0], [1e-3, 2e-3, 1.0]])
+    points = jnp.array([[3.0, 4.0], [60.0, 20.0], [0.0, 0.0]])
+    by_jax = jax.vmap(jax.jacfwd(lambda point: homography.apply(matrix, point[None])[0]))(points)
+    np.testing.assert_allclose(homography.slopes(matrix, points), by_jax, rtol=1e-12)
