@@ -56,85 +56,94 @@ def aligned(
         return points_i, alone, jnp.zeros(len(points_i), bool)
     image = view_i.astype(jnp.float32)
     start, partners, homography = (jnp.asarray(x, jnp.float32) for x in (points_i, points_j, i_from_j))
+    # Matches are the last axis of all patches: sums over a patch then run over many of them at once.
     offset = jnp.arange(-RADIUS - 1, RADIUS + 2, dtype=jnp.float32)
-    grid = jnp.stack(jnp.meshgrid(offset, offset), -1)
-    weight = jnp.exp(-jnp.sum(grid[1:-1, 1:-1] ** 2, -1) / (2 * SPREAD_PX**2))
-    weight = (weight / weight.sum())[None]
+    wide_x, wide_y = offset[None, :, None], offset[:, None, None]
+    across, down = wide_x[:, 1:-1], wide_y[1:-1]
+    bell = jnp.exp(-(offset[1:-1] ** 2) / (2 * SPREAD_PX**2))
+    bell = bell / bell.sum()
+    weight = bell[:, None, None] * bell[None, :, None]
 
     # A patch is so small that the homography is affine over it.
     affine = slopes(jnp.linalg.inv(homography), apply(homography, partners))
-    back = partners[:, None, None, :] + jnp.einsum("mab,ijb->mija", affine, grid)
-    wide = _bilinear(view_j.astype(jnp.float32), back)
-    gx = (wide[:, 1:-1, 2:] - wide[:, 1:-1, :-2]) / 2
-    gy = (wide[:, 2:, 1:-1] - wide[:, :-2, 1:-1]) / 2
-    across_m, down_m = grid[None, 1:-1, 1:-1, 0], grid[None, 1:-1, 1:-1, 1]
+    turned = [affine[None, None, :, k, 0] * wide_x + affine[None, None, :, k, 1] * wide_y for k in (0, 1)]
+    x, y = (partners[None, None, :, k] + turned[k] for k in (0, 1))
+    wide = _bilinear(view_j, x, y)
+    gx = (wide[1:-1, 2:] - wide[1:-1, :-2]) / 2
+    gy = (wide[2:, 1:-1] - wide[:-2, 1:-1]) / 2
 
-    def total(a, b):
-        return jnp.sum(a * b * weight, (1, 2))
+    def total(patch):
+        return jnp.sum(patch * weight, (0, 1))[None, None]
 
     def level(patch):
         """Without its mean and its slopes: light and vignetting stay with the camera while the floor moves."""
-        spread = jnp.sum(across_m**2 * weight)
-        mean, x, y = (total(patch, one)[:, None, None] for one in (1.0, across_m, down_m))
-        return patch - mean - (x * across_m + y * down_m) / spread
+        slope = total(patch * across) * across + total(patch * down) * down
+        return patch - total(patch) - slope / jnp.sum(offset[1:-1] ** 2 * bell)
 
     # What is level is orthogonal to what light adds, so the other view needs none of it taken away.
-    gx, gy, template = level(gx), level(gy), level(wide[:, 1:-1, 1:-1])
-    xx, xy, yy, energy = total(gx, gx), total(gx, gy), total(gy, gy), total(template, template)
-    own_x, own_y = total(gx, template), total(gy, template)
-    sums = jnp.stack([template, gx, gy]) * weight[None]
+    gx, gy, template = level(gx), level(gy), level(wide[1:-1, 1:-1])
+    xx, xy, yy, energy = (total(a * b)[0, 0] for a, b in ((gx, gx), (gx, gy), (gy, gy), (template, template)))
+    own_x, own_y = total(gx * template)[0, 0], total(gy * template)[0, 0]
     determinant = jnp.maximum(xx * yy - xy * xy, FLAT)
 
     def step(points, _):
-        similar, along_x, along_y = jnp.sum(_around(image, points)[None] * sums, (2, 3))
+        patch = _around(image, points)
+        similar, along_x, along_y = (total(patch * own)[0, 0] for own in (template, gx, gy))
         gain = jnp.maximum(similar / jnp.maximum(energy, 1e-9), LEAST_GAIN)
         bx, by = own_x - along_x / gain, own_y - along_y / gain
         move = jnp.stack([yy * bx - xy * by, xx * by - xy * bx], -1) / determinant[:, None]
         return points + jnp.clip(move, -1.0, 1.0), None
 
     moved, _ = jax.lax.scan(step, start, None, length=ROUNDS)
-    ends = jnp.array([0, -1, 0, -1]), jnp.array([0, 0, -1, -1])
-    around = start[:, None, :] + (RADIUS + 2) * jnp.sign(grid[ends])[None]
-    whole = _inside(seen, around) & _inside(seen, back[:, *ends])
+    corners = jnp.array([0, 0, -1, -1]), jnp.array([0, -1, 0, -1])
+    own = jnp.stack([offset[corners[1]], offset[corners[0]]], -1)[:, None] * (RADIUS + 2) / (RADIUS + 1) + start[None]
+    whole = _inside(seen, own) & _inside(seen, jnp.stack([x[corners], y[corners]], -1))
     found = whole & (jnp.sum((moved - start) ** 2, 1) < MOST_PX**2)
     eye = jnp.eye(2, dtype=jnp.float32)[None]
     rows = jnp.stack([jnp.stack([yy, -xy], -1), jnp.stack([-xy, xx], -1)], -2)
-    inverse_gradients = rows / jnp.maximum(xx * yy - xy * xy, FLAT)[:, None, None]
-    covariance = jnp.where(found[:, None, None], LEAST_PX**2 * eye + NOISE**2 * inverse_gradients, CORNER_PX**2 * eye)
+    covariance = LEAST_PX**2 * eye + NOISE**2 * rows / determinant[:, None, None]
+    covariance = jnp.where(found[:, None, None], covariance, CORNER_PX**2 * eye)
     kept = jnp.where(found[:, None], moved.astype(points_i.dtype), points_i)
     return kept, covariance.astype(points_i.dtype), found
 
 
-def _bilinear(image: Float[Array, "h w"], points: Float[Array, "*n 2"]) -> Float[Array, " *n"]:
-    """Values at points, anyhow outside: half the time of `geometry.warp.sample_bilinear`, which fades there."""
+def _bilinear(image: UInt8[Array, "h w"], x: Float[Array, " *n"], y: Float[Array, " *n"]) -> Float[Array, " *n"]:
+    """Values at points, anyhow outside.
+
+    A gather costs by the element, so one word holds a pixel and its three neighbours: a third of the time of
+    `geometry.warp.sample_bilinear`, which takes any image and fades outside.
+    """
     height, width = image.shape
-    corner = jnp.floor(points)
-    x, y = points[..., 0] - corner[..., 0], points[..., 1] - corner[..., 1]
-    column = jnp.clip(corner[..., 0].astype(jnp.int32), 0, width - 2)
-    row = jnp.clip(corner[..., 1].astype(jnp.int32), 0, height - 2)
-    first, flat = row * width + column, image.reshape(-1)
-    a, b, c, d = (flat.at[first + k].get(mode="promise_in_bounds") for k in (0, 1, width, width + 1))
-    above, below = a + x * (b - a), c + x * (d - c)
-    return above + y * (below - above)
+    pixel = image.astype(jnp.uint32)
+    pair = pixel | jnp.roll(pixel, -1, 1) << 8
+    four = pair | jnp.roll(pair, -1, 0) << 16
+    left, top = jnp.floor(x), jnp.floor(y)
+    column = jnp.clip(left.astype(jnp.int32), 0, width - 2)
+    row = jnp.clip(top.astype(jnp.int32), 0, height - 2)
+    word = four.reshape(-1).at[row * width + column].get(mode="promise_in_bounds")
+    a, b, c, d = ((word >> shift & 255).astype(jnp.float32) for shift in (0, 8, 16, 24))
+    above, below = a + (x - left) * (b - a), c + (x - left) * (d - c)
+    return above + (y - top) * (below - above)
 
 
-def _around(image: Float[Array, "h w"], points: Float[Array, "M 2"]) -> Float[Array, "M side side"]:
+def _around(image: Float[Array, "h w"], points: Float[Array, "M 2"]) -> Float[Array, "side side M"]:
     """Square patches around points: cut out whole, which is faster than a gather, and shifted by the fraction."""
     corner = jnp.floor(points)
-    x, y = (points - corner)[:, 0, None, None], (points - corner)[:, 1, None, None]
+    x, y = (points - corner).T[:, None, None]
     first = corner.astype(jnp.int32) - RADIUS
 
     def cut(at):
         return jax.lax.dynamic_slice(image, (at[1], at[0]), (SIDE + 1, SIDE + 1))
 
-    patch = jax.vmap(cut)(first)
-    rows = (1 - y) * patch[:, :-1] + y * patch[:, 1:]
-    return (1 - x) * rows[:, :, :-1] + x * rows[:, :, 1:]
+    patch = jnp.moveaxis(jax.vmap(cut)(first), 0, -1)
+    rows = (1 - y) * patch[:-1] + y * patch[1:]
+    return (1 - x) * rows[:, :-1] + x * rows[:, 1:]
 
 
-def _inside(seen: Bool[Array, "h w"], points: Float[Array, "M k 2"]) -> Bool[Array, " M"]:
+def _inside(seen: Bool[Array, "h w"], points: Float[Array, "k M 2"]) -> Bool[Array, " M"]:
     """Whether all k points lie on what is seen."""
     height, width = seen.shape
     high = jnp.array([width - 1, height - 1], points.dtype)[None, None]
     nearest = jnp.clip(jnp.round(points), 0, high).astype(jnp.int32)
-    return jnp.all((points >= 0) & (points <= high), (1, 2)) & jnp.all(seen[nearest[..., 1], nearest[..., 0]], 1)
+    within = jnp.all((points >= 0) & (points <= high), -1)
+    return jnp.all(within & seen[nearest[..., 1], nearest[..., 0]], 0)

@@ -37,7 +37,8 @@ EXCESS = 1.75
 """Neighbouring patches share texture: so much wider than independent ones would say."""
 LEAST_FACTOR = 0.02
 """No pair is more certain than that: of the variances that `spread` says."""
-ROUNDS = 10
+ROUNDS, STEPS = 4, 2
+"""The factor is taken anew each round, the motion at each step of a round."""
 MEDIAN = 1.3863
 """Of chi-square with two degrees of freedom."""
 
@@ -175,32 +176,41 @@ def settle(
     limit = jnp.asarray(tolerance_m, dtype) ** 2
     ridge = 1e-6 * jnp.eye(3, dtype=dtype)
 
-    def system(motion):
+    def residuals(motion):
+        """The turn, residuals as they are and whitened, and which matches are near."""
         c, s = jnp.cos(motion[2]), jnp.sin(motion[2])
         turn = jnp.stack([jnp.stack([c, -s]), jnp.stack([s, c])])
-        residual = points_i - (points_j @ turn.T + motion[None, :2])
-        squared = jnp.sum(residual**2, axis=1)
-        near = matched & (squared < limit)
-        plain = white(residual, spread)
-        relative = jnp.sum(plain**2, axis=1)
-        ranked = jnp.sort(jnp.where(near, relative, jnp.inf))
+        plain = points_i - (points_j @ turn.T + motion[None, :2])
+        return turn, plain, white(plain, spread), matched & (jnp.sum(plain**2, axis=1) < limit)
+
+    def factor(motion):
+        """Of the spread, from the median of the residuals."""
+        _, _, whitened, near = residuals(motion)
+        ranked = jnp.sort(jnp.where(near, jnp.sum(whitened**2, axis=1), jnp.inf))
         count = near.sum()
-        middle = jnp.where(count > 0, ranked[jnp.maximum(count // 2, 0)], 1.0)
-        factor = jnp.maximum(middle / MEDIAN, LEAST_FACTOR)
-        weight = jnp.where(near, (FREEDOM + 2) / ((FREEDOM + relative / factor) * factor), 0)
+        return jnp.maximum(jnp.where(count > 0, ranked[count // 2], 1.0) / MEDIAN, LEAST_FACTOR)
+
+    def system(motion, variance):
+        turn, plain, whitened, near = residuals(motion)
+        relative = jnp.sum(whitened**2, axis=1) / variance
+        weight = jnp.where(near, (FREEDOM + 2) / ((FREEDOM + relative) * variance), 0)
         spin = jnp.stack([-points_j[:, 1], points_j[:, 0]], -1) @ turn.T
-        columns = jnp.broadcast_to(turn.T[None], (*squared.shape, 2, 2))
+        columns = jnp.broadcast_to(turn.T[None], (len(spin), 2, 2))
         jacobian = jnp.concatenate([columns, spin[:, None, :]], axis=1)  # M x (3 unknowns) x 2
         jacobian = white(jacobian, spread[:, None])
         hessian = jnp.einsum("m,mia,mja->ij", weight, jacobian, jacobian)
-        gradient = jnp.einsum("m,mia,ma->i", weight, jacobian, plain)
-        return turn, hessian, gradient, jnp.sqrt(jnp.sum(weight * squared) / jnp.maximum(jnp.sum(weight), 1e-12))
+        gradient = jnp.einsum("m,mia,ma->i", weight, jacobian, whitened)
+        squared = jnp.sum(weight[:, None] * plain**2)
+        return turn, hessian, gradient, jnp.sqrt(squared / jnp.maximum(jnp.sum(weight), 1e-12))
 
     def step(motion, _):
-        turn, hessian, gradient, _ = system(motion)
-        delta = jnp.linalg.solve(hessian + ridge, gradient)
-        return jnp.concatenate([motion[:2] + turn @ delta[:2], motion[2:] + delta[2:]]), None
+        variance = factor(motion)
+        for _ in range(STEPS):
+            turn, hessian, gradient, _ = system(motion, variance)
+            delta = jnp.linalg.solve(hessian + ridge, gradient)
+            motion = jnp.concatenate([motion[:2] + turn @ delta[:2], motion[2:] + delta[2:]])
+        return motion, None
 
     motion, _ = jax.lax.scan(step, start.astype(dtype), None, length=ROUNDS)
-    _, hessian, _, rms = system(motion)
+    _, hessian, _, rms = system(motion, factor(motion))
     return LoopMeasurement(motion, EXCESS * jnp.linalg.inv(hessian + ridge), rms)
