@@ -19,7 +19,7 @@ from ebjax.features.pair import Comparison, PlaneView, checked_quad, metric_view
 from ebjax.features.record import FLOOR, RAW, TURNED, conventions, describe, matched_points, measure, summary
 from ebjax.features.remember import remembered
 from ebjax.features.table import Pair, as_json, compare_inputs, compare_pairs, markdown
-from ebjax.geometry.camera import Camera, FloorView
+from ebjax.geometry.camera import Camera, FloorView, camera_from
 from ebjax.io.atomic import whole_file, whole_folder
 from ebjax.io.cache import open_cache
 from ebjax.io.camera_file import read_camera
@@ -153,7 +153,7 @@ def main(config: Config) -> None:
 
     camera = None
     if camera_file is not None:
-        camera = Camera(camera_file.intrinsics, camera_file.base_from_camera, width, height)
+        camera = camera_from(camera_file)
     views = make_views(config, camera, quad, width, height)
     if config.extractor == "all":
         extractors, absent = usable(tuple(EXTRACTORS), config.weights, config.arithmetic)

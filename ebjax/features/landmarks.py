@@ -26,7 +26,7 @@ class Landmarks:
     floor_points: Float[Array, "*n K 2"]  # on the floor, m
     points: Float[Array, "*n K 3"]  # by depth, m
     range_m: Float[Array, "*n K"]  # depth of `points`; 0 where there is none
-    pixels: Float[Array, "*n K 2"]  # in the raw image, px
+    pixels: Float[Array, "*n K 2"]  # ideal ones of the image, px
     grey: UInt8[Array, "*n h w"]  # the floor view they were found in
 
 

@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from ebjax.geometry.camera import Camera, backproject
+from ebjax.geometry.camera import Camera, backproject, raw_from_ideal
 from ebjax.geometry.rigid import kabsch
 
 SHARED_SIGMA = (0.005, 0.005, 0.002)
@@ -102,14 +102,14 @@ def measure_depth(
 def lift(
     pixels: Float[Array, "K 2"], depth_m: Float[Array, "H W"], camera: Camera, radius: int = 3
 ) -> tuple[Float[Array, "K 3"], Float[Array, "K"]]:
-    """Raw pixels -> points in base, with the mean of the valid depths around them (Early Bird, eq. 9-10).
+    """Pixels -> points in base, with the mean of the valid depths around them (Early Bird, eq. 9-10).
 
     Depth is averaged as its inverse over a (2 radius + 1)^2 window, which is exact on a plane and divides the
     sensor's noise.
 
     Args:
-      pixels: (x, y) in the raw image, px.
-      depth_m: along the optical axis; <= 0 or not finite means missing.
+      pixels: ideal ones, px.
+      depth_m: of the raw image, along the optical axis; <= 0 or not finite means missing.
       camera: with base_from_camera.
       radius: of the window, px.
 
@@ -118,14 +118,15 @@ def lift(
     """
     height, width = depth_m.shape
     offset = jnp.arange(-radius, radius + 1, dtype=jnp.int32)
-    centre = jnp.round(pixels).astype(jnp.int32)
+    raw = raw_from_ideal(camera, pixels)
+    centre = jnp.round(raw).astype(jnp.int32)
     rows = jnp.clip(centre[:, 1, None] + offset[None, :], 0, height - 1)
     columns = jnp.clip(centre[:, 0, None] + offset[None, :], 0, width - 1)
     window = depth_m[rows[:, :, None], columns[:, None, :]].reshape(len(pixels), -1)
     known = jnp.isfinite(window) & (window > 0)
     share = known.mean(1, dtype=depth_m.dtype)
     inverse = jnp.sum(jnp.where(known, 1 / jnp.where(known, window, 1), 0), 1) / jnp.maximum(known.sum(1), 1)
-    inside = (pixels[:, 0] >= 0) & (pixels[:, 0] <= width - 1) & (pixels[:, 1] >= 0) & (pixels[:, 1] <= height - 1)
+    inside = (raw[:, 0] >= 0) & (raw[:, 0] <= width - 1) & (raw[:, 1] >= 0) & (raw[:, 1] <= height - 1)
     enough = inside & (share >= 0.25)
     depth = jnp.where(enough, 1 / jnp.where(inverse > 0, inverse, 1), 0)
     points = backproject(pixels, depth, camera.intrinsics)

@@ -17,10 +17,18 @@ from ebjax.features.extractor import Extractor
 from ebjax.features.matching import Features
 from ebjax.features.refine import refine
 from ebjax.features.verify import Verified, log10_false_alarms, verify
-from ebjax.geometry.camera import Camera, FloorView, field_of_view, image_from_floor, image_from_view
+from ebjax.geometry.camera import (
+    Camera,
+    FloorView,
+    field_of_view,
+    ideal_from_raw,
+    image_from_floor,
+    image_from_view,
+    raw_from_ideal,
+)
 from ebjax.geometry.homography import apply, from_four_points, orient
 from ebjax.geometry.ransac import Model
-from ebjax.geometry.warp import warp
+from ebjax.geometry.warp import gather, grid_points, taps
 
 MAX_SUPERSAMPLE = 8
 KEEP = 1000
@@ -33,11 +41,12 @@ class PlaneView:
     """What of an image is compared, and in which plane.
 
     Attributes:
-      image_from_view: view pixel -> image pixel, w > 0 in front of the camera.
+      image_from_view: view pixel -> ideal image pixel, w > 0 in front of the camera.
       plane_from_view: view pixel -> plane coordinates, in which matches must agree.
       size: (height, width) of the view, px.
       side: length of the view (without a margin) in the plane's unit.
       metric: whether that unit is the metre, in base.
+      camera: whose ideal pixels the image's are; None: the image is taken as a pinhole's.
     """
 
     image_from_view: Float[np.ndarray, "3 3"]
@@ -45,6 +54,7 @@ class PlaneView:
     size: tuple[int, int]
     side: float
     metric: bool = False
+    camera: Camera | None = None
 
 
 def raw_view(width: int, height: int) -> PlaneView:
@@ -84,6 +94,7 @@ def quad_view(quad: Float[np.ndarray, "4 2"], size: int, margin: float, camera: 
       camera: of the image, where it is known.
     """
     corners = np.array([[0, 0], [size, 0], [size, size], [0, size]], np.float64)
+    quad = quad if camera is None else np.asarray(ideal_from_raw(camera, quad))
     image_from_square = np.asarray(orient(from_four_points(corners, quad), corners.mean(0)))
     side = round(size * (1 + 2 * margin))
     shift = (size - side + 1) / 2
@@ -94,13 +105,13 @@ def quad_view(quad: Float[np.ndarray, "4 2"], size: int, margin: float, camera: 
     floor_from_image = np.linalg.inv(np.asarray(image_from_floor(camera), np.float64))
     on_floor = np.asarray(apply(floor_from_image, quad))
     length = float(np.mean(np.linalg.norm(np.roll(on_floor, -1, 0) - on_floor, axis=1)))
-    return PlaneView(homography, floor_from_image @ homography, (side, side), length, True)
+    return PlaneView(homography, floor_from_image @ homography, (side, side), length, True, camera)
 
 
 def metric_view(camera: Camera, floor: FloorView) -> PlaneView:
     """A rectangle of floor, metres."""
     homography = np.asarray(image_from_view(camera, floor), np.float64)
-    return PlaneView(homography, floor.floor_from_view, floor.size, float(floor.x_max - floor.x_min), True)
+    return PlaneView(homography, floor.floor_from_view, floor.size, float(floor.x_max - floor.x_min), True, camera)
 
 
 def look(image: UInt8[np.ndarray, "H W 3"], view: PlaneView) -> tuple[Float[Array, "h w 3"], Bool[Array, "h w"]]:
@@ -112,14 +123,16 @@ def look(image: UInt8[np.ndarray, "H W 3"], view: PlaneView) -> tuple[Float[Arra
     height, width = view.size
     if np.array_equal(view.image_from_view, np.eye(3)):
         return rgb, jnp.ones((height, width), bool)
-    seen = field_of_view(view.image_from_view, view.size, (image.shape[0], image.shape[1]), 1.0)
+    camera = view.camera or Camera(np.eye(3), np.eye(4), image.shape[1], image.shape[0])
+    seen = field_of_view(camera, view.image_from_view, view.size, 1.0)
     down, across = _image_pixels_per_view_pixel(view, np.asarray(seen))
     scale_shift = [[1 / n, (1 - n) / (2 * n)] for n in (across, down)]
     view_from_fine = np.array(
         [[scale_shift[0][0], 0, scale_shift[0][1]], [0, scale_shift[1][0], scale_shift[1][1]], [0, 0, 1]]
     )
     homography = jnp.asarray(view.image_from_view @ view_from_fine)
-    fine = warp(rgb, homography, (height * down, width * across))
+    points = grid_points(homography, (height * down, width * across))
+    fine = gather(rgb, taps(raw_from_ideal(camera, points.reshape(-1, 2)).reshape(points.shape), camera.size))
     return fine.reshape(height, down, width, across, 3).mean((1, 3)).astype(jnp.float32), seen
 
 

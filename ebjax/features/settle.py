@@ -22,7 +22,7 @@ from ebjax.features.align import aligned
 from ebjax.features.landmarks import Landmarks
 from ebjax.features.measure import LoopMeasurement
 from ebjax.features.verify import Verified
-from ebjax.geometry.camera import Camera, backproject, image_from_floor
+from ebjax.geometry.camera import Camera, backproject, image_from_floor, raw_slopes
 from ebjax.geometry.homography import apply, slopes
 from ebjax.geometry.rigid import kabsch
 from ebjax.views.run_view import RunView
@@ -50,7 +50,7 @@ class PairMatches:
     """What a pair's matches are, whatever the mount of the camera: pixels, and points in the camera's frame.
 
     Attributes:
-      pixels_i: in the raw image of frame i, px.
+      pixels_i: ideal ones of image i, px.
       pixels_j: their partners in that of frame j.
       points_i: the same by depth, in camera_i, m; zero where there is none.
       points_j: likewise.
@@ -95,15 +95,15 @@ def pair_matches(ours: Landmarks, theirs: Landmarks, found: Verified, view: RunV
     shift = shift @ jnp.asarray(camera.base_from_camera)[:2, :3]
     points = lifted(ours, q) + jnp.where(ours.range_m[q][:, None] > 0, shift, 0)
     along = slopes(view.image_from_view, moved)
-    # Where an image pixel covers many of the view's, the view's noise is as coarse as they are.
-    coarse = 1 + jnp.sum(jnp.linalg.inv(along) ** 2, (1, 2))
-    spread = coarse[:, None, None] * (along @ covariance @ jnp.swapaxes(along, 1, 2))
     pixels = apply(view.image_from_view, moved)
+    # Where an image pixel covers many of the view's, the view's noise is as coarse as they are.
+    coarse = 1 + jnp.sum(jnp.linalg.inv(raw_slopes(camera, pixels) @ along) ** 2, (1, 2))
+    spread = coarse[:, None, None] * (along @ covariance @ jnp.swapaxes(along, 1, 2))
     return PairMatches(pixels, theirs.pixels[r], points, lifted(theirs, r), found.matched, start, spread)
 
 
 def on_floor(pixels: Float[Array, "M 2"], camera: Camera) -> Float[Array, "M 2"]:
-    """Where pixels of the raw image lie on the floor in base, m."""
+    """Where ideal pixels of the image lie on the floor in base, m."""
     return apply(jnp.linalg.inv(image_from_floor(camera)), pixels)
 
 

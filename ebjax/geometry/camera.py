@@ -1,6 +1,9 @@
-"""A pinhole camera over a floor, and the metric rectangle of floor that it looks at.
+"""A camera over a floor, and the metric rectangle of floor that it looks at.
 
 Base: x forward, y left, z up, the floor is z = 0. Camera: x right, y down, z forward. Metres and radians.
+
+Pixels are ideal or raw: ideal ones are those of a pinhole with the same K, which homographies map to the floor; raw
+ones are where the image, which a lens bends, shows them. Everything but the image itself is in ideal pixels.
 """
 
 import dataclasses
@@ -14,6 +17,12 @@ from jaxtyping import Array, Bool, Float
 
 from ebjax.geometry.homography import Arrays, Scalar, denominator, safe_denominator
 from ebjax.geometry.homography import apply as apply_homography
+from ebjax.geometry.lens import PINHOLE, Lens, bend, lens
+from ebjax.geometry.lens_inverse import unbend
+
+OUTSIDE_PX = -1e6
+LEAST_COSINE = 0.05
+"""Between a ray and the optical axis: a pinhole's image of what lies farther out, 87 degrees, is endless."""
 
 
 # Unchecked at run time: vmap and tree_map rebuild the node with batched or placeholder leaves.
@@ -21,12 +30,18 @@ from ebjax.geometry.homography import apply as apply_homography
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Camera:
-    """Intrinsics K (px), p_base = base_from_camera p_camera (m), and the image size (px)."""
+    """Intrinsics K (px), p_base = base_from_camera p_camera (m), the image size (px), and the lens before it."""
 
     intrinsics: Float[Arrays, "3 3"]
     base_from_camera: Float[Arrays, "4 4"]
     width: int = dataclasses.field(metadata=dict(static=True))
     height: int = dataclasses.field(metadata=dict(static=True))
+    lens: Lens = PINHOLE
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(height, width), px."""
+        return self.height, self.width
 
 
 @jax.tree_util.register_dataclass
@@ -113,9 +128,97 @@ def camera_over_floor(
     return Camera(intrinsics, base_from_camera, width, height)
 
 
+@typing.runtime_checkable
+class CameraValues(typing.Protocol):
+    """What a file says of a camera: `io.camera_file.CameraFile`."""
+
+    @property
+    def intrinsics(self) -> Float[np.ndarray, "3 3"]:
+        """K, px."""
+
+    @property
+    def base_from_camera(self) -> Float[np.ndarray, "4 4"]:
+        """Its mount, m."""
+
+    @property
+    def width(self) -> int:
+        """In pixels."""
+
+    @property
+    def height(self) -> int:
+        """In pixels."""
+
+    @property
+    def distortion_model(self) -> str:
+        """Of its lens."""
+
+    @property
+    def distortion(self) -> tuple[float, ...]:
+        """Coefficients."""
+
+
+def camera_from(file: CameraValues) -> Camera:
+    """The camera that a file describes.
+
+    Raises:
+      ValueError: an unknown lens.
+    """
+    bent = lens(file.distortion_model, file.distortion)
+    pose = jnp.asarray(file.base_from_camera)
+    return Camera(jnp.asarray(file.intrinsics), pose, file.width, file.height, bent)
+
+
+@jax.jit
+def raw_from_ideal(camera: Camera, pixels: Float[Arrays, "N 2"]) -> Float[Array, "N 2"]:
+    """Where the image shows ideal pixels; far outside it (-1e6) what the lens cannot show. Differentiable."""
+    pixels = jnp.asarray(pixels)
+    if camera.lens.model == "pinhole":
+        return pixels
+    k = jnp.asarray(camera.intrinsics, pixels.dtype)
+    flat, inside = bend(camera.lens, _with_depth_1(pixels) @ jnp.linalg.inv(k).T)
+    return jnp.where(inside[:, None], flat @ k[:2, :2].T + k[None, :2, 2], OUTSIDE_PX)
+
+
+@jax.jit
+def raw_slopes(camera: Camera, pixels: Float[Arrays, "N 2"]) -> Float[Array, "N 2 2"]:
+    """The derivative of `raw_from_ideal`: d(raw x, raw y) / d(x, y) of ideal pixels."""
+    pixels = jnp.asarray(pixels)
+    if camera.lens.model == "pinhole":
+        return jnp.broadcast_to(jnp.eye(2, dtype=pixels.dtype), (len(pixels), 2, 2))
+    ones = jnp.zeros_like(pixels)
+    axes = ones.at[:, 0].set(1), ones.at[:, 1].set(1)
+    columns = [jax.jvp(lambda p: raw_from_ideal(camera, p), (pixels,), (axis,))[1] for axis in axes]
+    return jnp.stack(columns, axis=-1)
+
+
+@jax.jit
+def ideal_from_raw(camera: Camera, pixels: Float[Arrays, "N 2"]) -> Float[Array, "N 2"]:
+    """Ideal pixels of what the image shows; far outside (-1e6) where no pinhole can. Differentiable, once."""
+    pixels = jnp.asarray(pixels)
+    if camera.lens.model == "pinhole":
+        return pixels
+    k = jnp.asarray(camera.intrinsics, pixels.dtype)
+    rays, inside = unbend(camera.lens, (_with_depth_1(pixels) @ jnp.linalg.inv(k).T)[:, :2])
+    ahead = inside & (rays[:, 2] > LEAST_COSINE)
+    ideal = (rays @ k.T)[:, :2] / jnp.where(ahead, rays[:, 2], 1)[:, None]
+    return jnp.where(ahead[:, None], ideal, OUTSIDE_PX)
+
+
+@jax.jit
+def rays_of(camera: Camera, pixels: Float[Arrays, "N 2"]) -> tuple[Float[Array, "N 3"], Bool[Array, " N"]]:
+    """Rays of raw pixels in the camera's frame, of length 1 behind a lens and depth 1 behind none; which there are."""
+    pixels = jnp.asarray(pixels)
+    rays = _with_depth_1(pixels) @ jnp.linalg.inv(jnp.asarray(camera.intrinsics, pixels.dtype)).T
+    return (rays, jnp.ones(len(pixels), bool)) if camera.lens.model == "pinhole" else unbend(camera.lens, rays[:, :2])
+
+
+def _with_depth_1(pixels: Float[Array, "N 2"]) -> Float[Array, "N 3"]:
+    return jnp.concatenate([pixels, jnp.ones_like(pixels[:, :1])], axis=1)
+
+
 @jax.jit
 def project(camera: Camera, points_base: Float[Arrays, "N 3"]) -> tuple[Float[Array, "N 2"], Float[Array, " N"]]:
-    """Pixels K R^T (p - t) / depth, and the depth along the optical axis, m: <= 0 is behind the camera."""
+    """Ideal pixels K R^T (p - t) / depth, and the depth along the optical axis, m: <= 0 is behind the camera."""
     k, pose = jnp.asarray(camera.intrinsics), jnp.asarray(camera.base_from_camera)
     points_camera = (jnp.asarray(points_base) - pose[None, :3, 3]) @ pose[:3, :3]
     depth = points_camera[:, 2]
@@ -131,7 +234,7 @@ def backproject(
     """Lifts pixels into the camera frame, X = depth K^-1 x (Early Bird, eq. 9-10).
 
     Args:
-      pixels: (x, y) in the raw image, not the floor view, px.
+      pixels: ideal ones of the image, not of the floor view, px.
       depth_m: along the optical axis; <= 0 or not finite means missing.
       intrinsics: K, px.
 
@@ -161,25 +264,27 @@ def image_from_view(camera: Camera, view: FloorView) -> Float[Array, "3 3"]:
     return image @ jnp.asarray(view.floor_from_view, image.dtype)
 
 
-@partial(jax.jit, static_argnames=("view_size", "image_size"))
+@partial(jax.jit, static_argnames="view_size")
 def field_of_view(
-    image_from_view: Float[Arrays, "3 3"],
-    view_size: tuple[int, int],
-    image_size: tuple[int, int],
-    margin_px: Scalar = 0.0,
+    camera: Camera, image_from_view: Float[Arrays, "3 3"], view_size: tuple[int, int], margin_px: Scalar = 0.0
 ) -> Bool[Array, "h w"]:
-    """View pixels that the image sees: in front of the camera (w > 0) and inside the image by a margin.
+    """View pixels that the image shows: in front of the camera (w > 0) and inside the image by a margin.
 
     Args:
-      image_from_view: w > 0 in front of the camera (`homography.orient` makes it so).
+      camera: says how large the image is, and how its lens bends it.
+      image_from_view: to ideal pixels; w > 0 in front of the camera (`homography.orient` makes it so).
       view_size: (height, width), px.
-      image_size: (height, width), px.
       margin_px: distance from the outermost pixel centres.
     """
     h = jnp.asarray(image_from_view)
     rows, cols = jnp.meshgrid(*(jnp.arange(n, dtype=h.dtype) for n in view_size), indexing="ij")
     grid = jnp.stack([cols.reshape(-1), rows.reshape(-1)], axis=1)
-    x, y = apply_homography(h, grid).T
-    inside = (x >= margin_px) & (x <= image_size[1] - 1 - margin_px)
-    inside &= (y >= margin_px) & (y <= image_size[0] - 1 - margin_px)
-    return (inside & (denominator(h, grid) > 0)).reshape(view_size)
+    shown = in_image(camera, apply_homography(h, grid), margin_px)
+    return (shown & (denominator(h, grid) > 0)).reshape(view_size)
+
+
+def in_image(camera: Camera, pixels: Float[Array, "N 2"], margin_px: Scalar = 0.0) -> Bool[Array, " N"]:
+    """Which ideal pixels lie inside the image, by a margin from its outermost pixel centres."""
+    x, y = raw_from_ideal(camera, pixels).T
+    inside = (x >= margin_px) & (x <= camera.width - 1 - margin_px)
+    return inside & (y >= margin_px) & (y <= camera.height - 1 - margin_px)

@@ -55,22 +55,28 @@ def _gather(image: Shaped[Array, "H W C"], taps: Taps) -> Float[Array, "*s C"]:
     return total
 
 
-@partial(jax.jit, static_argnames=("size", "source_size"))
-def taps(source_from_target: Float[Arrays, "3 3"], size: tuple[int, int], source_size: tuple[int, int]) -> Taps:
-    """Taps of a warp, to compute once where one homography serves a whole run; differentiable in it.
+@partial(jax.jit, static_argnames="source_size")
+def taps(points: Float[Arrays, "*s 2"], source_size: tuple[int, int]) -> Taps:
+    """Taps of samples at points, to compute once where one warp serves a whole run; differentiable in the points.
 
     Args:
-      source_from_target: target pixel -> source pixel.
-      size: (h, w) of the target, px.
+      points: (x, y) in the source, px; `grid_points` makes those of a homography.
       source_size: (H, W) of the source, px.
     """
+    points = jnp.asarray(points)
+    return _taps_at(points[..., 0], points[..., 1], source_size)
+
+
+@partial(jax.jit, static_argnames="size")
+def grid_points(source_from_target: Float[Arrays, "3 3"], size: tuple[int, int]) -> Float[Array, "h w 2"]:
+    """Where a homography takes the pixels of a target of `size` (h, w); differentiable in it."""
     h = jnp.asarray(source_from_target)
     u, v = jnp.arange(size[1], dtype=h.dtype)[None, :], jnp.arange(size[0], dtype=h.dtype)[:, None]
     scale = jnp.abs(h[2, 0]) * u + jnp.abs(h[2, 1]) * v + jnp.abs(h[2, 2])
     w = safe_denominator(h[2, 0] * u + h[2, 1] * v + h[2, 2], scale)
     x = (h[0, 0] * u + h[0, 1] * v + h[0, 2]) / w
     y = (h[1, 0] * u + h[1, 1] * v + h[1, 2]) / w
-    return _taps_at(x, y, source_size)
+    return jnp.stack([x, y], axis=-1)
 
 
 @jax.jit
@@ -89,7 +95,7 @@ def gather_batch(images: Batch, taps: Taps) -> Float[Array, "N h w C"]:
 def sample_bilinear(image: Pixels, points: Float[Arrays, "*s 2"]) -> Float[Array, "*s C"]:
     """Samples an image at points (x, y), px; differentiable in the image and in the points."""
     image, points = jnp.asarray(image), jnp.asarray(points)
-    return _gather(image, _taps_at(points[..., 0], points[..., 1], (image.shape[0], image.shape[1])))
+    return _gather(image, taps(points, (image.shape[0], image.shape[1])))
 
 
 @partial(jax.jit, static_argnames="size")
@@ -101,7 +107,7 @@ def warp(image: Pixels, source_from_target: Float[Arrays, "3 3"], size: tuple[in
       source_from_target: H, target pixel -> source pixel (`camera.image_from_view` for a floor view).
       size: (h, w) of the target, px.
     """
-    return _gather(jnp.asarray(image), taps(source_from_target, size, image.shape[:2]))
+    return _gather(jnp.asarray(image), taps(grid_points(source_from_target, size), image.shape[:2]))
 
 
 @partial(jax.jit, static_argnames="size")
@@ -109,7 +115,7 @@ def warp_batch(
     images: Batch, source_from_target: Float[Arrays, "3 3"], size: tuple[int, int]
 ) -> Float[Array, "N h w C"]:
     """`warp` of many images by one homography; the taps are computed once."""
-    return gather_batch(images, taps(source_from_target, size, images.shape[1:3]))
+    return gather_batch(images, taps(grid_points(source_from_target, size), images.shape[1:3]))
 
 
 def rotate_pi(image: Shaped[Arrays, "*n H W C"]) -> Shaped[Array, "*n H W C"]:

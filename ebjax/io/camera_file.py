@@ -1,4 +1,4 @@
-"""camera.json: intrinsics, image size, depth units and where the camera sits on the robot."""
+"""camera.json: intrinsics, lens, image size, depth units and where the camera sits on the robot."""
 
 import json
 import math
@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from ebjax.geometry.lens_models import COUNTS, lens_fault, no_lens_if_straight
 from ebjax.io.atomic import whole_file
 from ebjax.io.poses import rigid_fault
 from ebjax.io.text import read_text
 
 KEYS = ("fx", "fy", "cx", "cy", "width", "height", "depth_scale", "T_base_camera")
+LENS_KEYS = ("distortion_model", "D")
 
 
 @dataclass(frozen=True)
@@ -27,6 +29,8 @@ class CameraFile:
       width: px.
       height: px.
       depth_scale: depth file units per metre.
+      distortion_model: of the lens, a name in `geometry.lens_models`.
+      distortion: its coefficients, in that order.
     """
 
     intrinsics: Float[np.ndarray, "3 3"]
@@ -34,6 +38,8 @@ class CameraFile:
     width: int
     height: int
     depth_scale: float
+    distortion_model: str = "pinhole"
+    distortion: tuple[float, ...] = ()
 
 
 def _number(path: Path, values: dict[str, Any], key: str, *, positive: bool) -> float:
@@ -71,13 +77,16 @@ def _pose(path: Path, values: dict[str, Any], key: str) -> np.ndarray:
 def read_camera(path: str | Path, *, depth: bool = True) -> CameraFile:
     """Reads camera.json: fx fy cx cy width height (px), depth_scale (units per metre), T_base_camera (4x4, metres).
 
+    A lens that bends is given by distortion_model (a name in `geometry.lens_models`) and D (its coefficients).
+
     Args:
       path: the file.
       depth: whether depth is going to be read; without it `depth_scale` may be left out.
 
     Raises:
       FileNotFoundError: there is no such file.
-      ValueError: not JSON, a missing key, a wrong type, NaN, a transform that is not rigid; names file and key.
+      ValueError: not JSON, a missing or unknown key, a wrong type, NaN, a transform that is not rigid, an unknown
+        lens; names file and key.
     """
     path = Path(path)
     try:
@@ -90,21 +99,43 @@ def read_camera(path: str | Path, *, depth: bool = True) -> CameraFile:
         values = {"depth_scale": 1000.0, **values}
     if missing := [key for key in KEYS if key not in values]:
         raise ValueError(f"{path}: no key {', '.join(map(repr, missing))}; it needs {', '.join(KEYS)}")
+    if unknown := sorted(set(values) - {*KEYS, *LENS_KEYS}):
+        known = ", ".join((*KEYS, *LENS_KEYS))
+        raise ValueError(f"{path}: unknown key {', '.join(map(repr, unknown))}; known are {known}")
     fx, fy = (_number(path, values, key, positive=True) for key in ("fx", "fy"))
     cx, cy = (_number(path, values, key, positive=False) for key in ("cx", "cy"))
+    model, distortion = _lens(path, values)
     return CameraFile(
         intrinsics=np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]),
         base_from_camera=_pose(path, values, "T_base_camera"),
         width=_whole(path, values, "width"),
         height=_whole(path, values, "height"),
         depth_scale=_number(path, values, "depth_scale", positive=True),
+        distortion_model=model,
+        distortion=distortion,
     )
+
+
+def _lens(path: Path, values: dict[str, Any]) -> tuple[str, tuple[float, ...]]:
+    present = [key for key in LENS_KEYS if key in values]
+    if len(present) == 1:
+        absent = next(key for key in LENS_KEYS if key not in values)
+        raise ValueError(f"{path}: {present[0]!r} without {absent!r}; give both, or neither for undistorted images")
+    if not present:
+        return "pinhole", ()
+    model, rows = values["distortion_model"], values["D"]
+    if not isinstance(rows, list):
+        raise ValueError(f"{path}: 'D' is {json.dumps(rows)[:60]}, not a list of numbers; correct it")
+    distortion = tuple(_number(path, {"D": value}, "D", positive=False) for value in rows)
+    if fault := lens_fault(str(model), distortion):
+        raise ValueError(f"{path}: {'D' if model in COUNTS else 'distortion_model'!r}: {fault}; correct it")
+    return no_lens_if_straight(str(model), distortion)
 
 
 def write_camera(path: str | Path, camera: CameraFile) -> None:
     """Writes the camera.json that `read_camera` reads, whole."""
     k = camera.intrinsics
-    values = {
+    values: dict[str, Any] = {
         "width": camera.width,
         "height": camera.height,
         "fx": float(k[0, 0]),
@@ -114,5 +145,7 @@ def write_camera(path: str | Path, camera: CameraFile) -> None:
         "depth_scale": camera.depth_scale,
         "T_base_camera": camera.base_from_camera.tolist(),
     }
+    if camera.distortion_model != "pinhole":
+        values |= {"distortion_model": camera.distortion_model, "D": list(camera.distortion)}
     with whole_file(path) as file:
         file.write(json.dumps(values, indent=1) + "\n")

@@ -10,7 +10,7 @@ from ebjax.geometry.planar import between, chained, inverse, inverse_covariance
 from ebjax.odometry.chain import carried_on
 from ebjax.odometry.steps import USED, Steps
 from ebjax.odometry.wheels import WheelErrors
-from ebjax.odometry.whole_image import image_features, measure_motion
+from ebjax.odometry.whole_image import ideal, image_features, measure_motion
 
 Load = Callable[[int], tuple[np.ndarray, np.ndarray | None] | None]
 NO_COMMON = "no motion explains the whole images"
@@ -53,7 +53,7 @@ def bridge(
     def look(k: int):
         if k not in looked:
             images = load(int(frames[k]))
-            looked[k] = None if images is None else (image_features(images[0], seen), images[1])
+            looked[k] = None if images is None else (ideal(image_features(images[0], seen), camera), images[1])
             for old in [n for n in looked if n < k - 3]:
                 del looked[old]
         return looked[k]

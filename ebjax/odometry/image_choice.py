@@ -61,6 +61,8 @@ class Images:
         """The matches of these rows."""
         size = np.maximum(self.one.sizes_px[rows_i], self.two.sizes_px[rows_j]) / self.one.unit_px
         sigma = SIGMA_PX * self.one.unit_px * np.maximum(1, size / LARGE_PX)
+        if self.one.stretch is not None and self.two.stretch is not None:
+            sigma = sigma * np.maximum(self.one.stretch[rows_i], self.two.stretch[rows_j])
         pixels = self.one.keypoints[rows_i], self.two.keypoints[rows_j]
         return make_pairs(*pixels, self.camera, sigma, self.depth_one[rows_i], self.depth_two[rows_j])
 

@@ -15,12 +15,12 @@ from jaxtyping import Float
 from ebjax.features.measure import lift
 from ebjax.geometry.camera import Camera
 from ebjax.odometry.image_choice import FEWEST, Choice, Images, Kind, choose, known_by
-from ebjax.odometry.image_matches import COUNT, ImageFeatures, image_features, match_features
+from ebjax.odometry.image_matches import COUNT, ImageFeatures, ideal, image_features, match_features
 from ebjax.odometry.planar_motion import base_motion, camera_motion, lever
 from ebjax.odometry.planar_motion_cost import WRONG_COST, explain
 from ebjax.odometry.planar_motion_fit import polish, refine, turn_width
 
-__all__ = ["ImageFeatures", "MotionMeasurement", "image_features", "measure_motion"]
+__all__ = ["ImageFeatures", "MotionMeasurement", "ideal", "image_features", "measure_motion"]
 
 FEWEST_ROTATION = 25
 WEAK = 1e-3
@@ -109,7 +109,7 @@ def measure_motion(
     """Measures i_from_j from two images, up to turns of 70 degrees that leave some of the view in common.
 
     Args:
-      features_i: of the later image, by `image_features`.
+      features_i: of the later image, by `image_features`, and `ideal` behind a lens.
       features_j: of the earlier image.
       camera: intrinsics, px, and mount; both images are of this camera.
       depth_i: of image i, m; 0 or not finite where missing. Depth counts where both images have it.

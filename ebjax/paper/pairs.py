@@ -5,7 +5,7 @@ from jaxtyping import Float, Int
 
 from ebjax.evaluation.run import spread_rows
 from ebjax.features.table import Pair
-from ebjax.geometry.camera import Camera, image_from_floor
+from ebjax.geometry.camera import Camera, image_from_floor, raw_from_ideal
 from ebjax.geometry.homography import apply
 from ebjax.paper.run import Run
 
@@ -34,13 +34,13 @@ def floor_quad(camera: Camera, near_m: float, far_m: float) -> Float[np.ndarray,
     half = 0.9 * min(left, right)
     far = min(far_m, near + REACH * 2 * half)
     corners = np.array([[far, half], [far, -half], [near, -half], [near, half]])
-    return np.asarray(apply(homography, corners))
+    return np.asarray(raw_from_ideal(camera, apply(homography, corners)))
 
 
 def _reach(homography: np.ndarray, camera: Camera, x: float, side: float) -> float:
     """How far to a side the image shows the floor at a distance."""
     y = side * np.linspace(0.01, 3.0, 600)
-    pixels = np.asarray(apply(homography, np.stack([np.full_like(y, x), y], 1)))
+    pixels = np.asarray(raw_from_ideal(camera, apply(homography, np.stack([np.full_like(y, x), y], 1))))
     limit = np.array([camera.width - 1, camera.height - 1]) - INSIDE_PX
     seen = ((pixels >= INSIDE_PX) & (pixels <= limit[None, :])).all(1)
     return float(abs(y[max(int(np.argmin(np.append(seen, False))) - 1, 0)]))

@@ -6,11 +6,10 @@ Queries are the frames of the way back, references those of the way out. The way
 import dataclasses
 from pathlib import Path
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from ebjax.geometry.camera import Camera
+from ebjax.geometry.camera import Camera, camera_from
 from ebjax.io.sequence import Sequence, read_sequence
 from ebjax.slam.keyframes import moved_enough
 from ebjax.slam.world import planar
@@ -71,7 +70,7 @@ def read_run(path: Path) -> Run:
         raise ValueError(f"{path / 'groundtruth.txt'}: the tables need ground truth for every frame")
     truth = planar(sequence.world_from_base)
     file = sequence.camera
-    camera = Camera(jnp.asarray(file.intrinsics), jnp.asarray(file.base_from_camera), file.width, file.height)
+    camera = camera_from(file)
     try:
         view = from_camera(camera, choose_floor(camera, METRES_PER_PX))
     except ValueError as fault:

@@ -13,7 +13,7 @@ import numpy as np
 import tyro
 
 from ebjax.command import dump_config, progress, run
-from ebjax.geometry.camera import Camera
+from ebjax.geometry.camera import camera_from
 from ebjax.geometry.warp import Taps
 from ebjax.io.atomic import whole_file
 from ebjax.io.cache import Cache, content_key, digest, open_cache
@@ -143,9 +143,8 @@ class Looker:
             self.size, self.samples = size, whole_image(size, self.seen.shape)
         elif self.file is not None:
             self.size = self.file.width, self.file.height
-            camera = Camera(jnp.asarray(self.file.intrinsics), jnp.asarray(self.file.base_from_camera), *self.size)
             try:
-                self.samples, self.seen = camera_view(camera, self.config.metres_per_px)
+                self.samples, self.seen = camera_view(camera_from(self.file), self.config.metres_per_px)
             except ValueError as fault:
                 raise ValueError(f"{self.config.camera}: {fault}") from None
         else:

@@ -10,7 +10,6 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
-import jax.numpy as jnp
 import numpy as np
 import tyro
 
@@ -19,7 +18,7 @@ from ebjax.evaluation.run import spread_rows
 from ebjax.features.landmarks import floor_error_m
 from ebjax.floors.__main__ import render_sequence
 from ebjax.floors.sequence import CorridorConfig
-from ebjax.geometry.camera import Camera, FloorView
+from ebjax.geometry.camera import Camera, FloorView, camera_from
 from ebjax.io.atomic import whole_folder
 from ebjax.io.cache import open_cache
 from ebjax.io.camera_file import read_camera
@@ -187,7 +186,7 @@ def run_view(config: Config, ignored: np.ndarray | None, camera: Camera) -> RunV
         view = from_camera(camera, FloorView(*config.view, config.metres_per_px))
     else:
         view = from_camera(camera, choose_floor(camera, config.metres_per_px))
-    return view if ignored is None else without(view, ignored)
+    return view if ignored is None else without(view, camera, ignored)
 
 
 def with_camera(sequence: Sequence, path: Path) -> Sequence:
@@ -242,7 +241,7 @@ def remembering(config: Config, at_end: contextlib.ExitStack) -> Remember | None
 def run_camera(config: Config, sequence: Sequence, frames: Frames) -> Camera:
     """The camera as camera.json says, or over the floor that the depth images show."""
     file = sequence.camera
-    camera = Camera(jnp.asarray(file.intrinsics), jnp.asarray(file.base_from_camera), file.width, file.height)
+    camera = camera_from(file)
     if config.floor == "camera":
         return camera
     if not sequence.has_depth:

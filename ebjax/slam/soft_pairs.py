@@ -60,8 +60,7 @@ def choose_points(parameters: Parameters, run: SoftRun, softness: Softness) -> P
     """Points of a grid on the floor, under the camera as it is mounted now; those count whose surroundings are seen."""
     floor = softness.floor
     homography = image_from_floor_view(parameters, run, floor)
-    size = run.camera.height, run.camera.width
-    seen = field_of_view(homography, floor.size, size, MARGIN_PX).astype(run.images.dtype)
+    seen = field_of_view(run.camera, homography, floor.size, MARGIN_PX).astype(run.images.dtype)
     where = jnp.asarray(grid(floor, softness.stride_m), homography.dtype)
     share = support(seen, where.astype(seen.dtype), floor.metres_per_px)
     share, best = jax.lax.top_k(share, min(softness.points, len(where)))

@@ -19,7 +19,7 @@ from ebjax.evaluation.run import spread_rows
 from ebjax.floors.__main__ import render_sequence
 from ebjax.floors.robot import RobotConfig
 from ebjax.floors.sequence import CorridorConfig
-from ebjax.geometry.camera import Camera
+from ebjax.geometry.camera import Camera, camera_from
 from ebjax.geometry.mount import NAMES, base_from_mounted_camera, mount_of
 from ebjax.io.atomic import whole_folder
 from ebjax.io.camera_file import CameraFile, write_camera
@@ -124,7 +124,7 @@ def beliefs(config: Config, given: Float[np.ndarray, "6"]) -> Float[np.ndarray, 
 
 def camera_at(file: CameraFile, mount: Float[np.ndarray, "6"]) -> Camera:
     """The camera of a file, mounted like this."""
-    return Camera(jnp.asarray(file.intrinsics), base_from_mounted_camera(jnp.asarray(mount)), file.width, file.height)
+    return dataclasses.replace(camera_from(file), base_from_camera=base_from_mounted_camera(jnp.asarray(mount)))
 
 
 def readable(read: Any, frame: int) -> np.ndarray | None:

@@ -18,7 +18,7 @@ from flax import nnx
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from ebjax.command import progress
-from ebjax.geometry.camera import Camera
+from ebjax.geometry.camera import camera_from
 from ebjax.io.atomic import whole_file
 from ebjax.io.sequence import BrokenFrame, read_sequence, require_odometry
 from ebjax.models.eye import Eye
@@ -200,7 +200,7 @@ def run(config: Config, out: Path, *, resume: bool) -> None:
         raise ValueError(f"held_out is {config.held_out}: needs a share between 0 and 1")
     sequence = read_sequence(config.sequence)
     file = sequence.camera
-    camera = Camera(jnp.asarray(file.intrinsics), jnp.asarray(file.base_from_camera), file.width, file.height)
+    camera = camera_from(file)
     view = from_camera(camera, choose_floor(camera, METRES_PER_PX))
 
     def load(k: int):

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ebjax.geometry.camera import Camera, backproject
+from ebjax.geometry.camera import OUTSIDE_PX, Camera, backproject, ideal_from_raw
 from ebjax.geometry.plane import camera_from_plane, fit_ground_plane
 
 MIN_INLIERS = 0.1
@@ -27,10 +27,11 @@ def camera_from_depth(
       ValueError: no image shows a floor.
     """
     rows, columns = np.mgrid[: camera.height : 2, : camera.width : 2]
-    pixels = jnp.asarray(np.stack([columns.ravel(), rows.ravel()], 1), jnp.float32)
+    pixels = ideal_from_raw(camera, jnp.asarray(np.stack([columns.ravel(), rows.ravel()], 1), jnp.float32))
+    shown = pixels[:, 0] > OUTSIDE_PX / 2
     planes = []
     for k, depth in enumerate(depths):
-        values = jnp.asarray(depth[::2, ::2].ravel(), jnp.float32)
+        values = jnp.where(shown, jnp.asarray(depth[::2, ::2].ravel(), jnp.float32), 0)
         points = backproject(pixels, values, jnp.asarray(camera.intrinsics, jnp.float32))
         plane, inliers = fit_ground_plane(points, values > 0, key=jax.random.key(seed + k))
         if inliers.sum() >= MIN_INLIERS * max(int((values > 0).sum()), 1) and plane[3] > 0:
@@ -45,4 +46,4 @@ def camera_from_depth(
     )
     pitch = np.degrees(np.arcsin(-plane[2]))
     roll = np.degrees(np.arctan2(plane[0], -plane[1]))
-    return dataclasses.replace(found), float(plane[3]), float(pitch), float(roll)
+    return dataclasses.replace(found, lens=camera.lens), float(plane[3]), float(pitch), float(roll)

@@ -5,9 +5,9 @@ import jax.numpy as jnp
 from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, UInt8
 
-from ebjax.geometry.camera import Camera, backproject
+from ebjax.geometry.camera import Camera, backproject, raw_from_ideal
 from ebjax.geometry.homography import apply
-from ebjax.geometry.warp import Taps, gather, taps
+from ebjax.geometry.warp import Taps, gather, grid_points, taps
 from ebjax.views.run_view import RunView
 
 SUPERSAMPLE = 2
@@ -22,7 +22,7 @@ def clear_floor(depth_m: Float[Array, "H W"], view: RunView, camera: Camera) -> 
     rows, columns = jnp.meshgrid(jnp.arange(height), jnp.arange(width), indexing="ij")
     grid = jnp.stack([columns.reshape(-1), rows.reshape(-1)], -1).astype(view.image_from_view.dtype)
     pixels = apply(view.image_from_view, grid)
-    nearest = jnp.round(pixels).astype(jnp.int32)
+    nearest = jnp.round(raw_from_ideal(camera, pixels)).astype(jnp.int32)
     u, v = jnp.clip(nearest[:, 0], 0, camera.width - 1), jnp.clip(nearest[:, 1], 0, camera.height - 1)
     depth = depth_m[v, u]
     points = backproject(pixels, depth, camera.intrinsics)
@@ -39,7 +39,8 @@ def view_taps(view: RunView, camera: Camera, dtype: DTypeLike = jnp.float32) -> 
     offset = (1 - SUPERSAMPLE) / (2 * SUPERSAMPLE)
     view_from_fine = jnp.array([[1 / SUPERSAMPLE, 0, offset], [0, 1 / SUPERSAMPLE, offset], [0, 0, 1]])
     image_from_fine = view.image_from_view @ view_from_fine.astype(view.image_from_view.dtype)
-    found = taps(image_from_fine.astype(dtype), fine, (camera.height, camera.width))
+    points = raw_from_ideal(camera, grid_points(image_from_fine.astype(dtype), fine).reshape(-1, 2))
+    found = taps(points.reshape(*fine, 2), camera.size)
     return Taps(found.indices, found.weights.astype(dtype))
 
 

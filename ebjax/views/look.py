@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ebjax.geometry.camera import Camera, camera_over_floor
-from ebjax.geometry.warp import Taps, taps
+from ebjax.geometry.warp import Taps, grid_points, taps
 from ebjax.views.floor_view import SUPERSAMPLE, view_taps
 from ebjax.views.run_view import choose_floor, from_camera, from_quad
 
@@ -43,4 +43,5 @@ def whole_image(size: tuple[int, int], view_size: tuple[int, int]) -> Taps:
     fine = SUPERSAMPLE * view_size[0], SUPERSAMPLE * view_size[1]
     sx, sy = size[0] / fine[1], size[1] / fine[0]
     # Outermost samples lie half a sample inside the image's border, where a bilinear read would fade to black.
-    return taps(jnp.array([[sx, 0, (sx - 1) / 2], [0, sy, (sy - 1) / 2], [0, 0, 1]], jnp.float32), fine, size[::-1])
+    scaled = jnp.array([[sx, 0, (sx - 1) / 2], [0, sy, (sy - 1) / 2], [0, 0, 1]], jnp.float32)
+    return taps(grid_points(scaled, fine), size[::-1])

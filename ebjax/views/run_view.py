@@ -13,7 +13,15 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 from scipy.ndimage import maximum_filter
 
-from ebjax.geometry.camera import Camera, FloorView, field_of_view, image_from_floor, image_from_view
+from ebjax.geometry.camera import (
+    Camera,
+    FloorView,
+    field_of_view,
+    ideal_from_raw,
+    image_from_floor,
+    image_from_view,
+    raw_from_ideal,
+)
 from ebjax.geometry.homography import apply, from_four_points, orient
 
 MAX_GROUND_SAMPLE_M = 0.025
@@ -29,7 +37,7 @@ LEAST_SEEN = 0.1
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class RunView:
-    """The floor view of a run: view pixel -> image pixel, view pixel -> floor in base (m), and what is seen of it."""
+    """The floor view of a run: view pixel -> ideal image pixel, -> floor in base (m), and what is seen."""
 
     image_from_view: Float[Array, "3 3"]
     floor_from_view: Float[Array, "3 3"]
@@ -66,9 +74,11 @@ def choose_floor(camera: Camera, metres_per_px: float) -> FloorView:
     x = np.arange(0.02, 12.0, 0.01)
     points = np.stack([x, np.zeros_like(x), np.ones_like(x)])
     u, v, depth = np.asarray(image_from_floor(camera)) @ points
-    u, v = u / np.where(depth > 0, depth, np.nan), v / np.where(depth > 0, depth, np.nan)
-    inside = (depth > 0.05) & (u >= 0) & (u <= camera.width - 1) & (v >= 0) & (v <= camera.height - 1)
-    sample = np.abs(np.gradient(x) / np.gradient(np.where(inside, v, np.nan)))
+    pixels = np.stack([u, v], 1) / np.where(depth > 0.05, depth, np.nan)[:, None]
+    raw = np.asarray(raw_from_ideal(camera, pixels))
+    inside = (depth > 0.05) & ((raw >= 0) & (raw <= [camera.width - 1, camera.height - 1])).all(1)
+    along = np.gradient(np.where(inside[:, None], raw, np.nan), axis=0)
+    sample = np.gradient(x) / np.linalg.norm(along, axis=1)
     good = inside & (sample <= MAX_GROUND_SAMPLE_M)
     if not good.any():
         raise ValueError(
@@ -89,7 +99,7 @@ def choose_floor(camera: Camera, metres_per_px: float) -> FloorView:
 def from_camera(camera: Camera, floor: FloorView) -> RunView:
     """The metric view of a rectangle of floor (m, in base)."""
     homography = image_from_view(camera, floor)
-    seen = field_of_view(homography, floor.size, (camera.height, camera.width), 1.0)
+    seen = field_of_view(camera, homography, floor.size, 1.0)
     return RunView(homography, jnp.asarray(floor.floor_from_view, homography.dtype), seen)
 
 
@@ -125,19 +135,20 @@ def from_quad(
     check_quad(camera, quad)
     inner = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float64)
     corners = (inner + margin) / (1 + 2 * margin) * np.array([width - 1, height - 1])
-    homography = from_four_points(jnp.asarray(corners), jnp.asarray(quad))
+    homography = from_four_points(jnp.asarray(corners), ideal_from_raw(camera, quad))
     homography = orient(homography, corners.mean(0))
-    seen = field_of_view(homography, size, (camera.height, camera.width), 1.0)
+    seen = field_of_view(camera, homography, size, 1.0)
     floor_from_image = jnp.linalg.inv(jnp.asarray(image_from_floor(camera), homography.dtype))
     return RunView(homography, floor_from_image @ homography, seen)
 
 
-def without(view: RunView, ignored: Bool[np.ndarray, "H W"]) -> RunView:
+def without(view: RunView, camera: Camera, ignored: Bool[np.ndarray, "H W"]) -> RunView:
     """The view with `seen` false where an image pixel within 2 px is ignored.
 
     Args:
-      view: of images of the mask's size.
-      ignored: image pixels that show no floor.
+      view: of the camera.
+      camera: whose images have the mask's size.
+      ignored: raw image pixels that show no floor.
 
     Raises:
       ValueError: less than 10 % of what the view sees would be left.
@@ -147,7 +158,7 @@ def without(view: RunView, ignored: Bool[np.ndarray, "H W"]) -> RunView:
     # Corners and edges too: near the camera a view pixel can be coarser than the margin.
     x, y = np.meshgrid(np.arange(-0.5, width, 0.5), np.arange(-0.5, height, 0.5))
     pixels = np.stack([x.ravel(), y.ravel()], axis=1)
-    there = np.nan_to_num(np.asarray(apply(view.image_from_view, pixels)), nan=-1.0)
+    there = np.nan_to_num(np.asarray(raw_from_ideal(camera, apply(view.image_from_view, pixels))), nan=-1.0)
     column, row = np.rint(there).clip(-1, max(grown.shape)).astype(int).T
     inside = (row >= 0) & (column >= 0) & (row < grown.shape[0]) & (column < grown.shape[1])
     hit = np.zeros(len(pixels), bool)

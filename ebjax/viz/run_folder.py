@@ -11,6 +11,7 @@ import numpy as np
 
 from ebjax.evaluation.run import spread_rows
 from ebjax.evaluation.trajectory import align_se2
+from ebjax.geometry.camera import raw_from_ideal
 from ebjax.geometry.homography import apply
 from ebjax.io.sequence import Sequence
 from ebjax.io.trajectory import write_tum
@@ -127,7 +128,8 @@ def match_figure(sequence: Sequence, load: Load, result: Result, view: RunView, 
     points = []
     for frame, rows in ((i, result.verified.query[k]), (j, result.verified.reference[k])):
         keypoints = result.described.landmarks.features.keypoints[np.searchsorted(result.keyframes, frame)][rows]
-        points.append(np.asarray(apply(view.image_from_view, jnp.asarray(keypoints, jnp.float64))))
+        ideal = apply(view.image_from_view, jnp.asarray(keypoints, jnp.float64))
+        points.append(np.asarray(raw_from_ideal(result.camera, ideal)))
     used = np.asarray(result.verified.matched[k])
     caption = (
         f"{sequence.names[i]} and {sequence.names[j]}: {candidates.inliers[k]} of {candidates.total[k]} matches agree; "

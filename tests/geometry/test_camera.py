@@ -82,7 +82,7 @@ def test_field_of_view_is_what_projects_into_the_image():
     pixels, depth = cameras.project(camera, np.concatenate([floor, np.zeros((len(floor), 1))], axis=1))
     x, y = np.array(pixels).T
     expected = (np.array(depth) > 0) & (x >= 4) & (x <= 635) & (y >= 4) & (y <= 475)
-    seen = cameras.field_of_view(cameras.image_from_view(camera, view), view.size, (480, 640), 4)
+    seen = cameras.field_of_view(camera, cameras.image_from_view(camera, view), view.size, 4)
     np.testing.assert_array_equal(np.array(seen).ravel(), expected)
     assert 0 < expected.mean() < 1
 

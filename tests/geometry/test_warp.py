@@ -85,7 +85,7 @@ def test_bytes_equal_floats(image):
 
 def test_taps_once_serve_images_and_batches(image):
     images = np.stack([image, image[::-1]])
-    taps = warp.taps(SOURCE_FROM_TARGET, (40, 40), (48, 64))
+    taps = warp.taps(warp.grid_points(SOURCE_FROM_TARGET, (40, 40)), (48, 64))
     single = np.stack([warp.warp(i, SOURCE_FROM_TARGET, (40, 40)) for i in images])
     np.testing.assert_allclose(np.stack([warp.gather(i, taps) for i in images]), single, atol=1e-12)
     np.testing.assert_allclose(warp.gather_batch(images, taps), single, atol=1e-12)

@@ -213,7 +213,7 @@ def test_a_view_without_ignored_pixels(height_m):
     view = from_camera(camera, choose_floor(camera, 0.01))
     ignored = lowest(0.3)
     ignored[100:300, 300:303] = True
-    rest = without(view, ignored)
+    rest = without(view, camera, ignored)
     y, x = np.nonzero(np.asarray(rest.seen))
     assert 0 < len(x) < np.asarray(view.seen).sum() and not (rest.seen & ~view.seen).any()
     np.testing.assert_array_equal(rest.image_from_view, view.image_from_view)
@@ -226,7 +226,7 @@ def test_a_view_without_ignored_pixels(height_m):
     y, x = np.nonzero(np.asarray(view.seen & ~rest.seen))
     u, v = np.rint(apply(view.image_from_view, np.stack([x, y], 1).astype(float))).astype(int).T
     assert np.percentile(distance[v, u], 99) < 12
-    np.testing.assert_array_equal(without(view, np.zeros_like(ignored)).seen, view.seen)
+    np.testing.assert_array_equal(without(view, camera, np.zeros_like(ignored)).seen, view.seen)
 
 
 def test_a_mask_that_leaves_no_view_is_refused():
@@ -234,4 +234,4 @@ def test_a_mask_that_leaves_no_view_is_refused():
     with pytest.raises(
         ValueError, match=r"the mask leaves \d\.\d% of the floor view, at least 10% is needed; .*--quad$"
     ):
-        without(from_camera(camera, choose_floor(camera, 0.01)), lowest(0.9))
+        without(from_camera(camera, choose_floor(camera, 0.01)), camera, lowest(0.9))

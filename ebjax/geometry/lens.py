@@ -1,0 +1,156 @@
+"""Lenses that bend: rays of the camera to points of the normalised image plane, by OpenCV's formulas.
+
+A pinhole's point of a ray is (x / z, y / z); pixels are K times the bent point. `lens_models` names the lenses and
+their coefficients. Outside a lens's domain, behind it or beyond where its image folds back, nothing is seen.
+"""
+
+import dataclasses
+import math
+import typing
+from collections.abc import Callable
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from ebjax.geometry.homography import Arrays
+from ebjax.geometry.lens_models import lens_fault
+
+SAMPLES = 1025
+HALVINGS = 48
+STEEPEST = math.radians(89.9)
+"""Plumb-bob lenses are looked at up to this angle from the optical axis."""
+
+
+# Unchecked at run time: vmap and tree_map rebuild the node with batched or placeholder leaves.
+@typing.no_type_check
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Lens:
+    """A distortion model by ROS's name, and its coefficients in OpenCV's order."""
+
+    coefficients: Float[Arrays, " C"]
+    model: str = dataclasses.field(metadata=dict(static=True))
+
+
+PINHOLE = Lens(np.zeros(0), "pinhole")
+
+
+def lens(model: str, coefficients: tuple[float, ...] | list[float]) -> Lens:
+    """A lens by its name.
+
+    Raises:
+      ValueError: an unknown name, or a wrong number of coefficients.
+    """
+    if fault := lens_fault(model, tuple(coefficients)):
+        raise ValueError(fault)
+    return Lens(np.array(coefficients, np.float64), model)
+
+
+def bend(lens: Lens, rays: Float[Array, "N 3"]) -> tuple[Float[Array, "N 2"], Bool[Array, " N"]]:
+    """Points of the normalised image plane of rays of any length, and which lie in the lens's domain.
+
+    Differentiable in the rays and the coefficients. Points outside the domain are finite and of no use.
+    """
+    k = jnp.asarray(lens.coefficients, rays.dtype)
+    if lens.model == "equidistant":
+        angle, radius, on_axis = _polar(rays)
+        z = jnp.where(rays[:, 2] > 0, rays[:, 2], 1)
+        scale = jnp.where(on_axis, 1 / z, equidistant(k, angle) / radius)
+        return rays[:, :2] * scale[:, None], angle <= domain(lens, rays.dtype)
+    if lens.model == "omnidirectional":
+        xi = k[0]
+        size = jnp.sqrt(jnp.sum(rays**2, axis=1))
+        cosine = rays[:, 2] / jnp.where(size > 0, size, 1)
+        ahead = (size > 0) & (cosine > -jnp.minimum(xi, 1 / jnp.maximum(xi, 1e-6)))
+        rays = jnp.stack([rays[:, 0], rays[:, 1], rays[:, 2] + xi * size], axis=1)
+    else:
+        ahead = rays[:, 2] > 0
+    flat = rays[:, :2] / jnp.where(ahead, rays[:, 2], 1)[:, None]
+    inside = ahead & (jnp.sum(flat**2, axis=1) <= domain(lens, rays.dtype) ** 2)
+    if lens.model == "pinhole":
+        return flat, inside
+    return plumb_bob(fourteen(lens, k), flat), inside
+
+
+def domain(lens: Lens, dtype: np.dtype | type) -> Float[Array, ""]:
+    """How far from the optical axis the image of a lens does not fold back.
+
+    An angle (rad, at most pi) for an equidistant lens; else the radius of the point before it is bent, inf where it
+    never folds. No gradient.
+    """
+    k = jax.lax.stop_gradient(jnp.asarray(lens.coefficients, dtype))
+    if lens.model == "pinhole":
+        return jnp.asarray(jnp.inf, dtype)
+    if lens.model == "equidistant":
+        return _first_fold(partial(equidistant, k), jnp.linspace(0, math.pi, SAMPLES, dtype=dtype), math.pi)
+    wide = jnp.tan(jnp.linspace(0, STEEPEST, SAMPLES, dtype=dtype))
+    terms = fourteen(lens, k)
+    return _first_fold(lambda r: r * radial(terms, r * r), wide, math.inf)
+
+
+def plumb_bob(k: Float[Array, "14"], flat: Float[Array, "N 2"]) -> Float[Array, "N 2"]:
+    """OpenCV's radial, tangential, thin-prism and tilted-sensor terms of points on the normalised plane."""
+    x, y = flat[:, 0], flat[:, 1]
+    r2 = x * x + y * y
+    factor, cross = radial(k, r2), 2 * x * y
+    bent_x = x * factor + k[2] * cross + k[3] * (r2 + 2 * x * x) + r2 * (k[8] + k[9] * r2)
+    bent_y = y * factor + k[2] * (r2 + 2 * y * y) + k[3] * cross + r2 * (k[10] + k[11] * r2)
+    (sx, cx), (sy, cy) = ((jnp.sin(angle), jnp.cos(angle)) for angle in (k[12], k[13]))
+    # R_y R_x, and what brings its third axis back onto the optical one.
+    tilted_x = cy * bent_x + sy * sx * bent_y - sy * cx
+    tilted_y = cx * bent_y + sx
+    depth = sy * bent_x - cy * sx * bent_y + cy * cx
+    return jnp.stack(
+        [(cy * cx * tilted_x + sy * cx * depth) / depth, (cy * cx * tilted_y - sx * depth) / depth], axis=-1
+    )
+
+
+def equidistant(k: Float[Array, "4"], angle: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """Bent angle: theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8) (Kannala and Brandt, 2006)."""
+    t = angle * angle
+    return angle * (1 + t * (k[0] + t * (k[1] + t * (k[2] + t * k[3]))))
+
+
+def radial(k: Float[Array, "14"], r2: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """OpenCV's radial factor of the squared distance from the axis."""
+    return (1 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))) / (1 + r2 * (k[5] + r2 * (k[6] + r2 * k[7])))
+
+
+def fourteen(lens: Lens, k: Float[Array, " C"]) -> Float[Array, "14"]:
+    """OpenCV's 14 coefficients of a plumb-bob lens, or of the plane behind Mei's sphere."""
+    k = k[1:] if lens.model == "omnidirectional" else k
+    return jnp.concatenate([k, jnp.zeros(14 - k.shape[0], k.dtype)])
+
+
+def _polar(rays: Float[Array, "N 3"]) -> tuple[Float[Array, " N"], Float[Array, " N"], Bool[Array, " N"]]:
+    """The angle from the optical axis, the distance from it, 1 where that is nothing, and where it is."""
+    across = jnp.sum(rays[:, :2] ** 2, axis=1)
+    on_axis = across <= jnp.finfo(rays.dtype).eps ** 2 * rays[:, 2] ** 2
+    radius = jnp.sqrt(jnp.where(on_axis, 1, across))
+    straight = jnp.where(rays[:, 2] > 0, 0.0, jnp.pi)
+    return jnp.where(on_axis, straight, jnp.arctan2(radius, rays[:, 2])), radius, on_axis
+
+
+def _first_fold(
+    bent: Callable[[Float[Array, "*n"]], Float[Array, "*n"]], samples: Float[Array, " S"], most: float
+) -> Float[Array, ""]:
+    """The first sample-free zero of the derivative of `bent`, found between samples by halving; else `most`."""
+
+    def rises(at):
+        value, slope = jax.jvp(bent, (at,), (jnp.ones_like(at),))
+        return (slope > 0) & (value >= 0)
+
+    good = rises(samples)
+    first = jnp.argmin(good)
+
+    def halve(ends, _):
+        middle = (ends[0] + ends[1]) / 2
+        up = rises(middle)
+        return (jnp.where(up, middle, ends[0]), jnp.where(up, ends[1], middle)), None
+
+    start = samples[jnp.maximum(first - 1, 0)], samples[first]
+    (low, _), _ = jax.lax.scan(halve, start, None, length=HALVINGS)
+    return jnp.where(jnp.all(good), jnp.asarray(most, samples.dtype), low)
