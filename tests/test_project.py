@@ -18,6 +18,7 @@ TOP = {"pyproject.toml", "ebjax", "notebooks", "tests", "configs", "README.md", 
 CONFIGS = sorted((ROOT / "configs").rglob("*.yaml"))
 # Where it is not the module's own name:
 DISTRIBUTION = {
+    "backports": "backports.zstd",
     "cv2": "opencv-python-headless",
     "faiss": "faiss-cpu",
     "orbax": "orbax-checkpoint",
@@ -58,7 +59,7 @@ def test_no_file_names_a_machine():
 
 def test_constraints_are_names_and_versions():
     for line in (ROOT / "configs" / "constraints.txt").read_text(encoding="utf-8").splitlines():
-        assert re.fullmatch(r"[a-z0-9-]+==[0-9][0-9a-z.]*( ; [a-z_]+ (==|!=|<|>=) .+)?", line), line
+        assert re.fullmatch(r"[a-z0-9.-]+==[0-9][0-9a-z.]*( ; [a-z_]+ (==|!=|<|>=) .+)?", line), line
         assert "/" not in line and "@" not in line
 
 

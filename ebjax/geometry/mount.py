@@ -1,32 +1,16 @@
-"""How a camera is mounted on a robot, in six numbers: pitch, roll, yaw (rad), height, x, y (m).
-
-base_from_camera = Rz(yaw) [camera_over_floor(pitch, roll)], its optical centre at (x, y, height) in base: pitch is the
-downward tilt of the optical axis, roll the turn about it, yaw the turn of both to the left. Looking straight down, roll
-and yaw are the same turn.
-"""
+"""A camera's mount on a robot, differentiable: its pose from the six numbers of `mount_numbers`, and changes of it."""
 
 import dataclasses
 import typing
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from ebjax.geometry.camera import Camera
 from ebjax.geometry.homography import Arrays
 
-NAMES = ("pitch", "roll", "yaw", "height", "x", "y")
 Mount = Float[Arrays, "6"]
-
-
-def mount_of(base_from_camera: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "6"]:
-    """The six numbers of a camera's pose on the robot; the inverse of `base_from_mounted_camera`."""
-    rotation, (x, y, height) = base_from_camera[:3, :3], base_from_camera[:3, 3]
-    ahead = rotation[:, 2]
-    pitch = np.arctan2(-ahead[2], np.hypot(ahead[0], ahead[1]))
-    roll, yaw = np.arctan2(-rotation[2, 0], -rotation[2, 1]), np.arctan2(ahead[1], ahead[0])
-    return np.array([pitch, roll, yaw, height, x, y])
 
 
 @jax.jit
@@ -54,18 +38,24 @@ class Mounting:
 
 
 def remounted(camera: Camera, mounting: Mounting) -> Camera:
-    """R' = R_y(pitch) R R_z(roll), z' = z + height; differentiable in the mounting.
+    """R' = R_z(yaw) R_y(pitch) R_z(-yaw) R R_z(roll), z' = z + height; differentiable in the mounting.
 
-    A camera that looks straight ahead over pitch p, roll r and height h (`camera_over_floor`) becomes the one over
-    p + pitch, r + roll and h + height: pitch tilts down about base's y axis, roll turns about the optical axis.
+    A camera over pitch p, roll r and height h, turned by any yaw, becomes the one over p + pitch, r + roll and
+    h + height: pitch tilts the optical axis down, roll turns about it.
     """
     pose = jnp.asarray(camera.base_from_camera)
+    ahead = jax.lax.stop_gradient(pose[:2, 2])
+    # Looking straight down there is no yaw to keep.
+    level = jnp.linalg.norm(ahead)
+    cy, sy = jnp.where(level > 1e-6, ahead / jnp.maximum(level, 1e-6), jnp.array([1.0, 0.0], pose.dtype))
     pitch, roll, height = (
         jnp.asarray(v, pose.dtype) for v in (mounting.pitch_rad, mounting.roll_rad, mounting.height_m)
     )
     s, c, sr, cr = jnp.sin(pitch), jnp.cos(pitch), jnp.sin(roll), jnp.cos(roll)
     zero, one = jnp.zeros_like(s), jnp.ones_like(s)
-    tilt = jnp.stack([jnp.stack([c, zero, s]), jnp.stack([zero, one, zero]), jnp.stack([-s, zero, c])])
+    nod = jnp.stack([jnp.stack([c, zero, s]), jnp.stack([zero, one, zero]), jnp.stack([-s, zero, c])])
+    turned = jnp.stack([jnp.stack([cy, -sy, zero]), jnp.stack([sy, cy, zero]), jnp.stack([zero, zero, one])])
+    tilt = turned @ nod @ turned.T
     turn = jnp.stack([jnp.stack([cr, -sr, zero]), jnp.stack([sr, cr, zero]), jnp.stack([zero, zero, one])])
     pose = pose.at[:3, :3].set(tilt @ pose[:3, :3] @ turn)
     return dataclasses.replace(camera, base_from_camera=pose.at[2, 3].add(height))

@@ -128,7 +128,7 @@ def _lens(path: Path, values: dict[str, Any]) -> tuple[str, tuple[float, ...]]:
         raise ValueError(f"{path}: 'D' is {json.dumps(rows)[:60]}, not a list of numbers; correct it")
     distortion = tuple(_number(path, {"D": value}, "D", positive=False) for value in rows)
     if fault := lens_fault(str(model), distortion):
-        raise ValueError(f"{path}: {'D' if model in COUNTS else 'distortion_model'!r}: {fault}; correct it")
+        raise ValueError(f"{path}: {'D' if str(model) in COUNTS else 'distortion_model'!r}: {fault}; correct it")
     return no_lens_if_straight(str(model), distortion)
 
 

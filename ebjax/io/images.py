@@ -71,10 +71,11 @@ def _decode(path: Path, flags: int) -> np.ndarray:
     return image
 
 
-def _check_size(path: Path, image: np.ndarray, size: tuple[int, int] | None) -> None:
+def check_size(path: str | Path, image: np.ndarray, size: tuple[int, int] | None) -> None:
+    """Raises BrokenFrame where an image has not the camera's (width, height)."""
     height, width = image.shape[:2]
     if size is not None and (width, height) != size:
-        raise BrokenFrame(f"{path}: {width}x{height} pixels, but camera.json says {size[0]}x{size[1]}")
+        raise BrokenFrame(f"{path}: {width}x{height} pixels, but the camera has {size[0]}x{size[1]}")
 
 
 def read_image(path: str | Path, size: tuple[int, int] | None = None) -> UInt8[np.ndarray, "H W 3"]:
@@ -89,7 +90,7 @@ def read_image(path: str | Path, size: tuple[int, int] | None = None) -> UInt8[n
     """
     path = Path(path)
     image = _decode(path, cv2.IMREAD_COLOR)
-    _check_size(path, image, size)
+    check_size(path, image, size)
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)  # type: ignore[return-value]
 
 
@@ -111,9 +112,23 @@ def read_depth(path: str | Path, depth_scale: float, size: tuple[int, int] | Non
     if raw.ndim != 2 or raw.dtype not in (np.uint16, np.float32, np.float64):
         channels = 1 if raw.ndim == 2 else raw.shape[2]
         raise BrokenFrame(f"{path}: {channels} channel(s) of {raw.dtype}; depth is one channel of 16 bits")
-    _check_size(path, raw, size)
+    check_size(path, raw, size)
     present = np.isfinite(raw) & (raw > 0) & (raw != NO_DEPTH) if raw.dtype != np.uint16 else raw != NO_DEPTH
     return np.where(present, raw.astype(np.float32) / np.float32(depth_scale), np.float32(0))
+
+
+def fitted_depth(name: str, depth_m: Float[np.ndarray, "h w"], size: tuple[int, int]) -> Float[np.ndarray, "H W"]:
+    """Depth at the (width, height) of the image it belongs to: the nearest of its values where the sizes differ.
+
+    Raises:
+      BrokenFrame: it has another shape than the image; gives its name.
+    """
+    height, width = depth_m.shape
+    if (width, height) == size:
+        return depth_m
+    if abs(width * size[1] - height * size[0]) > max(*size, width, height):
+        raise BrokenFrame(f"{name}: {width}x{height} pixels, another shape than the camera's {size[0]}x{size[1]}")
+    return cv2.resize(depth_m, size, interpolation=cv2.INTER_NEAREST_EXACT)  # type: ignore[return-value]
 
 
 def depth_share(depth_m: Float[np.ndarray, "H W"]) -> float:

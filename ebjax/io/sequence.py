@@ -1,4 +1,4 @@
-"""A robot's run in TUM layout: rgb.txt and camera.json; odometry.txt, depth.txt and groundtruth.txt if there are any.
+"""A robot's run: the frames of a log with the poses at their times, and the camera that took them.
 
 Reading decodes no image: images are decoded when asked for, and a frame that cannot be decoded raises `BrokenFrame`.
 """
@@ -8,13 +8,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Int, UInt8
 
-from ebjax.io.camera_file import CameraFile, read_camera
-from ebjax.io.images import BrokenFrame, depth_share, read_depth, read_image
-from ebjax.io.text import check_increasing, data_lines, floats
+from ebjax.io.camera_file import CameraFile
+from ebjax.io.images import BrokenFrame, check_size, depth_share, fitted_depth, read_image
+from ebjax.io.logs.camera import mounted
+from ebjax.io.logs.log import Images, Log
+from ebjax.io.logs.open import open_log
 from ebjax.io.timed_poses import MAX_BEYOND_S, MAX_GAP_S, nearest, poses_at, poses_everywhere, spacing
-from ebjax.io.trajectory import Trajectory, read_tum
+from ebjax.io.trajectory import Trajectory
 from ebjax.io.upright import floor_trajectory
 
 __all__ = ["BrokenFrame", "CameraFile", "Sequence", "depth_share", "read_image", "read_sequence", "require_odometry"]
@@ -25,32 +27,30 @@ class Sequence:
     """The frames of a run, in time order; those without odometry are left out, if there is odometry at all.
 
     Attributes:
-      path: the folder.
-      names: the image files, as rgb.txt names them.
+      log: they come from.
+      rows: of the frames in `log.colour`.
       timestamps: s; the images' own stamps plus `time_offset_s`.
       odom_from_base: odometry at the frames' times, metres; None for a run without.
-      world_from_base: ground truth at the frames' times, NaN rows where there is none; None without groundtruth.txt.
-      camera: what camera.json says.
-      has_depth: whether depth was asked for and depth.txt is there.
-      depth_names: the depth file of each frame, "" where none is near in time; empty without depth.
+      world_from_base: ground truth at the frames' times, NaN rows where there is none; None without any.
+      camera: of the images, as it is mounted.
+      depth_rows: of the frames' depth in `log.depth`, -1 where none is near in time; None without depth.
       dropped: (name, reason) of the frames left out while reading.
-      notes: what the user should know of how the files were read, a line each.
-      odometry: all of odometry.txt as `odom_from_base` has it; None for a run without.
-      truth: all of groundtruth.txt as `world_from_base` has it; None without.
+      notes: what the user should know of how the log was read, a line each.
+      odometry: all of it as `odom_from_base` has it; None for a run without.
+      truth: all of it as `world_from_base` has it; None without.
       time_offset_s: what was added to the images' stamps.
       max_time_difference_s: as `read_sequence` was told.
       max_gap_s: as `read_sequence` was told.
     """
 
-    path: Path
-    names: tuple[str, ...]
+    log: Log
+    rows: Int[np.ndarray, " N"]
     timestamps: Float[np.ndarray, " N"]
     odom_from_base: Float[np.ndarray, "N 4 4"] | None
     world_from_base: Float[np.ndarray, "N 4 4"] | None
     camera: CameraFile
-    has_depth: bool
-    depth_names: tuple[str, ...]
-    dropped: tuple[tuple[str, str], ...]
+    depth_rows: Int[np.ndarray, " N"] | None = None
+    dropped: tuple[tuple[str, str], ...] = ()
     notes: tuple[str, ...] = ()
     odometry: Trajectory | None = None
     truth: Trajectory | None = None
@@ -60,20 +60,48 @@ class Sequence:
 
     def __len__(self) -> int:
         """Returns the number of frames."""
-        return len(self.names)
+        return len(self.rows)
+
+    @property
+    def path(self) -> Path:
+        """Of the log."""
+        return self.log.path
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the frames' images, as the log has them."""
+        return tuple(self.log.colour.names[row] for row in self.rows)
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Of the frames' images, where each is a file."""
+        return tuple(self.log.colour.files[row] for row in self.rows) if self.log.colour.files else ()
+
+    @property
+    def has_depth(self) -> bool:
+        """Whether depth was asked for and is there."""
+        return self.depth_rows is not None
 
     def rgb(self, i: int) -> UInt8[np.ndarray, "H W 3"]:
-        """Decodes the image of frame i; raises BrokenFrame (missing, truncated, wrong size), naming the file."""
-        return read_image(self.path / self.names[i], (self.camera.width, self.camera.height))
+        """Decodes the image of frame i; raises BrokenFrame (missing, truncated, wrong size), naming it."""
+        row = int(self.rows[i])
+        image = self.log.colour.decode(row)
+        check_size(self._file(row), image, (self.camera.width, self.camera.height))
+        return image
 
     def depth(self, i: int) -> Float[np.ndarray, "H W"]:
-        """Decodes the depth of frame i, float32 metres, 0 = missing; raises BrokenFrame, naming the file."""
-        if not self.has_depth:
-            raise ValueError(f"{self.path}: read without depth; it needs depth.txt")
-        if not self.depth_names[i]:
-            raise BrokenFrame(f"{self.path / self.names[i]}: depth.txt has no image near its time")
-        size = (self.camera.width, self.camera.height)
-        return read_depth(self.path / self.depth_names[i], self.camera.depth_scale, size)
+        """Decodes the depth of frame i at the camera's size, float32 metres, 0 = missing; raises BrokenFrame."""
+        if self.depth_rows is None or self.log.depth is None:
+            raise ValueError(f"{self.path}: read without depth; it needs depth.txt, or another source of depth")
+        if (row := int(self.depth_rows[i])) < 0:
+            what = Path(self.log.depth.source).name
+            raise BrokenFrame(f"{self._file(int(self.rows[i]))}: {what} has no image near its time")
+        size = self.camera.width, self.camera.height
+        return fitted_depth(f"{self.path}: {self.log.depth.names[row]}", self.log.depth.decode(row), size)
+
+    def _file(self, row: int) -> str:
+        colour = self.log.colour
+        return str(colour.files[row]) if colour.files else f"{self.path}: {colour.names[row]}"
 
     def at_offset(self, time_offset_s: float) -> "Sequence":
         """The same frames with another offset added to their own stamps; poses are evaluated anew.
@@ -106,39 +134,18 @@ def require_odometry(sequence: Sequence, use: str = "this command") -> Float[np.
       use: what needs odometry, for the message.
 
     Raises:
-      ValueError: the run has no odometry; names odometry.txt.
+      ValueError: the run has no odometry; says how to give it.
     """
     if sequence.odom_from_base is None:
-        raise ValueError(
-            f"{sequence.path / 'odometry.txt'}: {use} needs odometry, and the run was read without; "
-            "give rows `timestamp tx ty tz qx qy qz qw`, the pose of base_link in the odometry's frame"
-        )
+        remedy = sequence.log.missing.get("odometry", "the run was read without")
+        raise ValueError(f"{sequence.path}: {use} needs odometry, and {remedy}")
     return sequence.odom_from_base
 
 
-def _read_list(path: Path) -> tuple[tuple[str, ...], Float[np.ndarray, " N"]]:
-    names, stamps = [], []
-    for number, line in data_lines(path):
-        fields = line.split(maxsplit=1)
-        if len(fields) != 2:
-            raise ValueError(f"{path} line {number}: {line!r} is not `timestamp file`; correct or remove the line")
-        names.append(fields[1])
-        stamps.append((number, floats(path, number, fields[:1])[0]))
-    check_increasing(path, stamps)
-    return tuple(names), np.array([stamp for _, stamp in stamps], dtype=np.float64)
-
-
-def _check_files(folder: Path) -> None:
-    if not folder.is_dir():
-        raise ValueError(f"{folder}: no such folder; a sequence is a folder with rgb.txt and camera.json")
-    for name in ("rgb.txt", "camera.json"):
-        if not (folder / name).is_file():
-            raise ValueError(f"{folder / name}: no such file; a sequence needs rgb.txt and camera.json")
-
-
 def read_sequence(
-    path: str | Path,
+    log: str | Path | Log,
     *,
+    camera: CameraFile | None = None,
     depth: bool = True,
     odometry: bool = True,
     max_time_difference_s: float = 0.02,
@@ -146,73 +153,73 @@ def read_sequence(
     min_coverage: float = 0.9,
     time_offset_s: float = 0.0,
 ) -> Sequence:
-    """Reads the lists of a TUM-layout folder; see `Sequence`.
+    """Puts together the frames of a log and the poses at their times; see `Sequence`.
 
     Odometry and ground truth are interpolated between two samples, or taken from the nearest sample. Without
-    odometry.txt every frame is kept.
+    odometry every frame is kept.
 
     Args:
-      path: the folder.
-      depth: whether to look for depth.txt.
-      odometry: whether to look for odometry.txt.
+      log: a log, or its path.
+      camera: in place of the log's own.
+      depth: whether to look for depth.
+      odometry: whether to look for odometry.
       max_time_difference_s: how far apart in time an image may be from its depth image or nearest pose.
       max_gap_s: how far apart two samples may be to interpolate between them, at a constant twist.
-      min_coverage: the share of frames that must have an odometry pose and, if depth.txt is there, a depth image.
+      min_coverage: the share of frames that must have an odometry pose and, if there is depth, a depth image.
       time_offset_s: added to the images' stamps before poses are looked up. Depth images are paired before that.
 
     Raises:
-      ValueError: a missing or malformed file, unsorted or duplicate timestamps, fewer than two frames, odometry or
-        depth for too few frames; names the file, the line or key, and the remedy.
+      ValueError: a missing or malformed file, unsorted or duplicate timestamps, no camera or no mount, fewer than two
+        frames, odometry or depth for too few frames; names the file, the line or key, and the remedy.
     """
-    folder = Path(path)
-    _check_files(folder)
-    depth_file, odometry_file, truth_file = (folder / f"{n}.txt" for n in ("depth", "odometry", "groundtruth"))
-    has_depth = depth and depth_file.is_file()
-    camera = read_camera(folder / "camera.json", depth=has_depth)
-    names, stamps = _read_list(folder / "rgb.txt")
-    if len(names) < 2:
-        count = "one frame only" if names else "no frames"
-        raise ValueError(f"{folder / 'rgb.txt'}: {count}; a run needs at least two lines `timestamp file`")
+    log = log if isinstance(log, Log) else open_log(log, depth=depth)
+    camera = camera or mounted(log, log.camera)
+    colour, stamps = log.colour, log.colour.timestamps
+    if len(colour) < 2:
+        count = "one frame only" if len(colour) else "no frames"
+        raise ValueError(f"{colour.source}: {count}; a run needs at least two images")
     rule = f"within {max_time_difference_s:g} s or between two samples at most {max_gap_s:g} s apart"
-    notes: list[str] = []
+    rows, notes = np.arange(len(colour)), list(log.notes)
 
     driven, odom_from_base = None, None
     dropped: tuple[tuple[str, str], ...] = ()
-    if odometry and not _there(odometry_file):
-        notes.append(f"{odometry_file}: no such file; the run is read without odometry")
-    elif odometry:
-        driven, remarks = floor_trajectory(read_tum(odometry_file), camera.base_from_camera)
+    if odometry and log.odometry is None:
+        notes.append(f"{log.path}: {log.missing.get('odometry', 'no odometry')}")
+    elif odometry and log.odometry is not None:
+        driven, remarks = floor_trajectory(log.odometry, camera.base_from_camera)
         notes += remarks
         odom_from_base, found = poses_at(driven, stamps + time_offset_s, max_time_difference_s, max_gap_s)
         if found.mean() < min_coverage or found.sum() < 2:
             raise ValueError(
-                f"{odometry_file}: {found.sum()} of {len(names)} frames have an odometry pose {rule}; at least "
+                f"{log.odometry.path}: {found.sum()} of {len(colour)} frames have an odometry pose {rule}; at least "
                 f"{min_coverage:.0%} must. {_spans(driven, stamps + time_offset_s)}: give the whole run's odometry, "
                 "or set --max-gap-s higher or --min-coverage lower"
             )
-        dropped = tuple((names[i], f"no odometry pose {rule}") for i in np.flatnonzero(~found))
-        names, stamps = tuple(names[i] for i in np.flatnonzero(found)), stamps[found]
-        odom_from_base = odom_from_base[found]
+        dropped = tuple((colour.names[k], f"no odometry pose {rule}") for k in np.flatnonzero(~found))
+        rows, odom_from_base = np.flatnonzero(found), odom_from_base[found]
+    stamps = stamps[rows]
 
     truth, world_from_base = None, None
-    if _there(truth_file):
-        truth, remarks = floor_trajectory(read_tum(truth_file), camera.base_from_camera)
+    if log.truth is not None:
+        truth, remarks = floor_trajectory(log.truth, camera.base_from_camera)
         notes += remarks
         world_from_base, known = poses_at(truth, stamps + time_offset_s, max_time_difference_s, max_gap_s)
         if not known.any():
             raise ValueError(
-                f"{truth_file}: 0 of {len(names)} frames have a pose {rule}. "
+                f"{log.truth.path}: 0 of {len(rows)} frames have a pose {rule}. "
                 f"{_spans(truth, stamps + time_offset_s)}: correct its clock, or move the file away"
             )
+    paired = None
+    if depth and log.depth is not None:
+        paired = _match_depth(log.depth, stamps, max_time_difference_s, min_coverage)
     return Sequence(
-        path=folder,
-        names=names,
+        log=log,
+        rows=rows,
         timestamps=stamps + time_offset_s,
         odom_from_base=odom_from_base,
         world_from_base=world_from_base,
         camera=camera,
-        has_depth=has_depth,
-        depth_names=_match_depth(depth_file, stamps, max_time_difference_s, min_coverage) if has_depth else (),
+        depth_rows=paired,
         dropped=dropped,
         notes=tuple(notes),
         odometry=driven,
@@ -223,25 +230,21 @@ def read_sequence(
     )
 
 
-def _there(path: Path) -> bool:
-    return path.is_file() or Path(f"{path}.gz").is_file()
-
-
 def _spans(trajectory: Trajectory, times: Float[np.ndarray, " N"]) -> str:
     return f"{spacing(trajectory)}; the images are from {times[0]:.3f} to {times[-1]:.3f} s"
 
 
 def _match_depth(
-    path: Path, times: Float[np.ndarray, " N"], max_time_difference_s: float, min_coverage: float
-) -> tuple[str, ...]:
-    names, stamps = _read_list(path)
-    if not names:
-        raise ValueError(f"{path}: no depth images; add lines `timestamp file`, or run with --depth none")
-    closest = nearest(stamps, times)
-    near = np.abs(stamps[closest] - times) <= max_time_difference_s
+    depth: Images, times: Float[np.ndarray, " N"], max_time_difference_s: float, min_coverage: float
+) -> Int[np.ndarray, " N"]:
+    if not len(depth):
+        raise ValueError(f"{depth.source}: no depth images; add lines `timestamp file`, or run with --depth none")
+    closest = nearest(depth.timestamps, times)
+    near = np.abs(depth.timestamps[closest] - times) <= max_time_difference_s
     if near.mean() < min_coverage:
         raise ValueError(
-            f"{path}: {near.sum()} of {len(times)} frames have a depth image within {max_time_difference_s:g} s; "
-            f"at least {min_coverage:.0%} must: set --max-time-difference-s or --min-coverage, or run with --depth none"
+            f"{depth.source}: {near.sum()} of {len(times)} frames have a depth image within {max_time_difference_s:g} "
+            "s; at least "
+            f"{min_coverage:.0%} must: set --max-time-difference-s or --min-coverage, or run with --depth none"
         )
-    return tuple(names[j] if ok else "" for j, ok in zip(closest, near, strict=True))
+    return np.where(near, closest, -1)

@@ -21,11 +21,13 @@ from ebjax.floors.sequence import CorridorConfig
 from ebjax.geometry.camera import Camera, FloorView, camera_from
 from ebjax.io.atomic import whole_folder
 from ebjax.io.cache import open_cache
-from ebjax.io.camera_file import read_camera
+from ebjax.io.calibration.depth_scale import depth_scale_in
+from ebjax.io.logs.camera import MountOptions, camera_of
+from ebjax.io.logs.open import LogOptions, open_log
 from ebjax.io.mask import alpha_mask, read_mask
 from ebjax.io.sequence import BrokenFrame, Sequence, read_sequence
 from ebjax.io.timed_poses import MAX_GAP_S
-from ebjax.slam.pipeline import PipelineConfig, Remember, Result
+from ebjax.slam.pipeline import MountConfig, PipelineConfig, Remember, Result
 from ebjax.slam.pipeline import run as run_pipeline
 from ebjax.slam.select import SelectConfig
 from ebjax.slam.world import planar
@@ -39,20 +41,29 @@ Quad = tuple[float, float, float, float, float, float, float, float]
 
 
 @dataclasses.dataclass(frozen=True)
+class Mount(MountConfig, MountOptions):
+    """Where the camera sits on the robot, and how far that is trusted."""
+
+
+@dataclasses.dataclass(frozen=True)
 class Config(PipelineConfig):
     """Finds where the robot drove the other way over the same floor, and corrects its odometry with it."""
 
     select: Annotated[SelectConfig, tyro.conf.arg(name="")] = dataclasses.field(default_factory=SelectConfig)
+    log: Annotated[LogOptions, tyro.conf.arg(name="")] = dataclasses.field(default_factory=LogOptions)
+    mount: Mount = dataclasses.field(default_factory=Mount)
     sequence: tyro.conf.Positional[Path | None] = None
-    """Folder in TUM layout (rgb.txt, camera.json, odometry.txt; depth.txt, groundtruth.txt); None: a synthetic one."""
+    """A log: folder in TUM layout (rgb.txt, camera.json, odometry.txt; depth.txt, groundtruth.txt), ROS bag (.bag,
+    .db3, .mcap or their folder), RTAB-Map database, video, folder of images; None: a synthetic one."""
     out: Path = Path("runs/slam")
     """Folder for the results."""
     depth: Literal["sequence", "none"] = "sequence"
     """Measure loops by the sequence's depth where it has any, or by the metric floor alone."""
     camera: Path | None = None
-    """A camera.json to use in place of the sequence's own, as `python -m ebjax.train` calibrates one."""
+    """A calibration file to use in place of the log's own: camera.json, as `python -m ebjax.train` calibrates one, or
+    of ROS, Kalibr, OpenCV, COLMAP, ORB-SLAM, RealSense, EuRoC, RTAB-Map, Gyroflow."""
     floor: Literal["camera", "depth"] = "camera"
-    """Where the floor lies: as camera.json's T_base_camera says, or as a plane fitted to the depth images."""
+    """Where the floor lies: as the camera's mount says, or as a plane fitted to the depth images."""
     quad: Quad | None = None
     """Four image points of a rectangle on the floor, px: far left, far right, near right, near left (x y each)."""
     quad_margin: float = 0.5
@@ -117,27 +128,30 @@ def main(config: Config) -> None:
             print(f"no sequence given: rendering a synthetic corridor into {config.sequence}")
             render_sequence(CorridorConfig(), config.out / "sequence")
     assert config.sequence is not None
+    deep = config.depth == "sequence"
+    depth_scale = None if config.camera is None else depth_scale_in(config.camera)
+    log = open_log(config.sequence, config.log, depth=deep, depth_scale=depth_scale)
+    mounted, remarks = camera_of(log, config.camera, config.mount)
     sequence = read_sequence(
-        config.sequence,
-        depth=config.depth == "sequence",
+        log,
+        camera=mounted,
+        depth=deep,
         max_time_difference_s=config.max_time_difference_s,
         min_coverage=config.min_coverage,
         max_gap_s=config.max_gap_s,
         odometry=config.motion != "floor",
         time_offset_s=0.0 if config.time_offset_s == "auto" else config.time_offset_s,
     )
-    if config.camera is not None:
-        sequence = with_camera(sequence, config.camera)
     frames = Frames(sequence)
     camera = run_camera(config, sequence, frames)
-    for note in sequence.notes:
+    for note in (*remarks, *sequence.notes):
         print(note)
     ignored = ignored_pixels(config, sequence, frames)
     looking = partial(run_view, config, ignored)
     try:
         looking(camera)
     except ValueError as fault:
-        raise ValueError(f"{config.camera or sequence.path / 'camera.json'}: {fault}") from None
+        raise ValueError(f"{config.camera or camera_source(sequence)}: {fault}") from None
 
     odometry = None if sequence.odom_from_base is None else planar(sequence.odom_from_base)
     retimed = None
@@ -158,7 +172,7 @@ def main(config: Config) -> None:
         if not frames.broken:
             raise
         first = next(iter(frames.broken.values()))
-        raise ValueError(f"{sequence.path / 'rgb.txt'}: {fault}; repair the images, first {first}") from None
+        raise ValueError(f"{log.colour.source}: {fault}; repair the images, first {first}") from None
     check_images(config, sequence, frames, result)
     if result.motion is not None and result.motion.offset.offset_s:
         sequence = sequence.at_offset(result.motion.offset.offset_s)
@@ -189,15 +203,14 @@ def run_view(config: Config, ignored: np.ndarray | None, camera: Camera) -> RunV
     return view if ignored is None else without(view, camera, ignored)
 
 
-def with_camera(sequence: Sequence, path: Path) -> Sequence:
-    """The sequence with the camera of another file, which must take images of the same size."""
-    own, camera = sequence.camera, read_camera(path, depth=sequence.has_depth)
-    if (camera.width, camera.height) != (own.width, own.height):
-        raise ValueError(
-            f"{path}: {camera.width} x {camera.height} px, but the sequence's images have {own.width} x {own.height}; "
-            "name the camera.json of this camera"
-        )
-    return dataclasses.replace(sequence, camera=camera)
+def camera_source(sequence: Sequence) -> str:
+    """What the run's camera was read from."""
+    return str(sequence.path) if sequence.log.camera is None else sequence.log.camera.source
+
+
+def depth_source(sequence: Sequence) -> str:
+    """What the run's depth images were read from."""
+    return str(sequence.path) if sequence.log.depth is None else sequence.log.depth.source
 
 
 def ignored_pixels(config: Config, sequence: Sequence, frames: Frames) -> np.ndarray | None:
@@ -207,7 +220,7 @@ def ignored_pixels(config: Config, sequence: Sequence, frames: Frames) -> np.nda
         return None
     if config.mask != "auto":
         return read_mask(config.mask, size)
-    if (clear := alpha_mask([sequence.path / name for name in sequence.names], size)) is not None:
+    if sequence.files and (clear := alpha_mask(sequence.files, size)) is not None:
         print(f"mask: {clear.mean():.0%} of the image is transparent and ignored")
         return clear
     way = np.arange(len(sequence), dtype=np.float64)
@@ -239,19 +252,19 @@ def remembering(config: Config, at_end: contextlib.ExitStack) -> Remember | None
 
 
 def run_camera(config: Config, sequence: Sequence, frames: Frames) -> Camera:
-    """The camera as camera.json says, or over the floor that the depth images show."""
+    """The camera as it is mounted, or over the floor that the depth images show."""
     file = sequence.camera
     camera = camera_from(file)
     if config.floor == "camera":
         return camera
     if not sequence.has_depth:
-        raise ValueError(f"{sequence.path}: --floor depth needs depth.txt and --depth sequence")
+        raise ValueError(f"{sequence.path}: --floor depth needs a log with depth, and --depth sequence")
     chosen = spread_rows(np.arange(len(sequence)), 9)
     depths = [images[1] for images in map(frames.load, chosen.tolist()) if images is not None and images[1] is not None]
     try:
         camera, height_m, pitch_deg, roll_deg = camera_from_depth(depths, camera)
     except ValueError as fault:
-        raise ValueError(f"{sequence.path / 'depth.txt'}: {fault}") from None
+        raise ValueError(f"{depth_source(sequence)}: {fault}") from None
     print(f"floor from depth: camera {height_m:.3f} m above it, pitch {pitch_deg:.2f} deg, roll {roll_deg:.2f} deg")
     return camera
 
@@ -261,14 +274,14 @@ def check_images(config: Config, sequence: Sequence, frames: Frames, result: Res
     asked = len(result.keyframes) + len(frames.broken)
     if len(result.keyframes) < config.min_readable * asked:
         raise ValueError(
-            f"{sequence.path / 'rgb.txt'}: {len(frames.broken)} of {asked} frames could not be read, "
+            f"{sequence.log.colour.source}: {len(frames.broken)} of {asked} frames could not be read, "
             f"first {next(iter(frames.broken.values()))}; repair them, or set --min-readable lower"
         )
     if not sequence.has_depth:
         return
     if not (result.described.landmarks.range_m > 0).any():
         raise ValueError(
-            f"{sequence.path / 'depth.txt'}: no depth on the floor in any of {len(result.keyframes)} frames "
+            f"{depth_source(sequence)}: no depth on the floor in any of {len(result.keyframes)} frames "
             "(all zero or not finite); check depth_scale in camera.json, or run with --depth none"
         )
     error = floor_error_m(result.described.landmarks)

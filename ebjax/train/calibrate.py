@@ -20,7 +20,8 @@ from ebjax.floors.__main__ import render_sequence
 from ebjax.floors.robot import RobotConfig
 from ebjax.floors.sequence import CorridorConfig
 from ebjax.geometry.camera import Camera, camera_from
-from ebjax.geometry.mount import NAMES, base_from_mounted_camera, mount_of
+from ebjax.geometry.mount import base_from_mounted_camera
+from ebjax.geometry.mount_numbers import NAMES, mount_of
 from ebjax.io.atomic import whole_folder
 from ebjax.io.camera_file import CameraFile, write_camera
 from ebjax.io.sequence import BrokenFrame, Sequence, read_sequence, require_odometry

@@ -16,7 +16,8 @@ from jaxtyping import Float
 
 from ebjax.geometry.camera import Camera
 from ebjax.geometry.homography import apply as apply_homography
-from ebjax.geometry.mount import base_from_mounted_camera, mount_of
+from ebjax.geometry.mount import base_from_mounted_camera
+from ebjax.geometry.mount_numbers import mount_of
 from ebjax.odometry.wheels import WheelErrors
 from ebjax.train.calibrate_pairs import FloorPairs, Load, choose_pairs, match_pairs
 from ebjax.train.calibrate_solve import Solved, count_agreeing, curvature_sigma, on_floor, residuals, solve

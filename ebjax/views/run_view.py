@@ -29,6 +29,9 @@ MAX_GROUND_SAMPLE_M = 0.025
 MAX_LENGTH_M = 2.0
 MIN_LENGTH_M = 0.4
 QUAD_PX = 200
+STEEP_RAD = np.radians(65.0)
+"""A camera that looks down more steeply sees the floor on all sides of its foot."""
+ASKEW_RAD = np.radians(15.0)
 IGNORED_MARGIN_PX = 2
 LEAST_SEEN = 0.1
 
@@ -66,34 +69,62 @@ class RunView:
 
 
 def choose_floor(camera: Camera, metres_per_px: float) -> FloorView:
-    """The rectangle ahead that the camera sees well: from the nearest visible floor, at most 2 m, as wide as long.
+    """The square of floor that the camera sees well where it looks: from the nearest visible floor, at most 2 m long.
+
+    Its sides are parallel to base's axes, whatever the direction in which the camera looks.
 
     Raises:
       ValueError: the camera sees too little floor.
     """
-    x = np.arange(0.02, 12.0, 0.01)
-    points = np.stack([x, np.zeros_like(x), np.ones_like(x)])
-    u, v, depth = np.asarray(image_from_floor(camera)) @ points
+    pose = np.asarray(camera.base_from_camera, np.float64)
+    side, beside, steep = _side(pose)
+    s = np.arange(-6.0 if steep else 0.02, 12.0, 0.01)
+    points = s[:, None] * side[None] + beside[None]
+    u, v, depth = np.asarray(image_from_floor(camera), np.float64) @ np.column_stack([points, np.ones_like(s)]).T
     pixels = np.stack([u, v], 1) / np.where(depth > 0.05, depth, np.nan)[:, None]
     raw = np.asarray(raw_from_ideal(camera, pixels))
     inside = (depth > 0.05) & ((raw >= 0) & (raw <= [camera.width - 1, camera.height - 1])).all(1)
     along = np.gradient(np.where(inside[:, None], raw, np.nan), axis=0)
-    sample = np.gradient(x) / np.linalg.norm(along, axis=1)
+    sample = np.gradient(s) / np.linalg.norm(along, axis=1)
     good = inside & (sample <= MAX_GROUND_SAMPLE_M)
     if not good.any():
         raise ValueError(
-            "the camera sees no floor ahead of it closely enough; check T_base_camera (height, pitch) and fx, fy"
+            "the camera sees no floor closely enough where it looks; check T_base_camera, or the mount that was given "
+            "(height, pitch, roll, yaw), and fx, fy"
         )
     first = int(np.argmax(good))
     last = first + int(np.argmin(np.append(good[first:], False))) - 1
-    near = float(x[first])
-    length = min(MAX_LENGTH_M, float(x[last]) - near)
+    near = float(s[first])
+    length = min(MAX_LENGTH_M, float(s[last]) - near)
     if length < MIN_LENGTH_M:
         raise ValueError(
             f"the camera sees only {length:.2f} m of floor closely enough, at least {MIN_LENGTH_M} m are needed; "
-            "check T_base_camera (height, pitch) and fx, fy, or tilt the camera down"
+            "check T_base_camera, or the mount that was given (height, pitch), and fx, fy, or tilt the camera down"
         )
-    return FloorView(near, near + length, -length / 2, length / 2, metres_per_px)
+    if np.abs(side).max() == 1:
+        across = np.abs(side[::-1]) * length / 2
+        ends = np.stack([near * side + beside - across, (near + length) * side + beside + across])
+    else:
+        centre = (near + length / 2) * side + beside
+        ends = np.stack([centre - length / 2, centre + length / 2])
+    (x_min, y_min), (x_max, y_max) = ends.min(0).tolist(), ends.max(0).tolist()
+    return FloorView(x_min, x_max, y_min, y_max, metres_per_px)
+
+
+def _side(pose: Float[np.ndarray, "4 4"]) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"], bool]:
+    """Where a camera looks along the floor, a point of the line that is looked at, and whether it looks down steeply.
+
+    Near one of base's axes that is the axis; ahead and back the line is base's x axis, else it starts at the camera's
+    foot.
+    """
+    foot = pose[:2, 3]
+    if -pose[2, 2] > np.sin(STEEP_RAD):
+        return np.array([1.0, 0.0]), foot, True
+    ahead = pose[:2, 2] / np.linalg.norm(pose[:2, 2])
+    if np.abs(ahead).max() < np.cos(ASKEW_RAD):
+        return ahead, foot, False
+    side = np.where(np.abs(ahead) == np.abs(ahead).max(), np.sign(ahead), 0.0)
+    return side, np.zeros(2) if side[0] else np.array([foot[0], 0.0]), False
 
 
 def from_camera(camera: Camera, floor: FloorView) -> RunView:

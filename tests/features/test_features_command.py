@@ -119,7 +119,7 @@ def test_raw_images_alone_say_that_there_is_no_floor(written):
         (["a.png", "absent.png"], "absent.png: no such file"),
         (["a.png", "cut.png"], "cut.png: truncated or damaged PNG; copy it again"),
         (["a.png", "small.png"], "small.png: 100x80 pixels, but a.png has 480x360"),
-        (["a.png", "small.png", "--camera", "camera.json"], "small.png: 100x80 pixels, but camera.json says 480x360"),
+        (["a.png", "small.png", "--camera", "camera.json"], "small.png: 100x80 pixels, but the camera has 480x360"),
         (["a.png", "b.png", "--quad", 10, 10, 500, 10, 400, 300, 10, 300], "quad: (500, 10) lies outside"),
         (["a.png", "b.png", "--quad", 10, 10, 100, 10, 200, 10, 10, 300], "quad: three of the points"),
         (["a.png", "b.png", "--quad", 10, 10, 10, 300, 400, 300, 400, 10], "quad: not a convex patch in order"),

@@ -1,10 +1,13 @@
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from ebjax.geometry.camera import camera_over_floor, image_from_floor
-from ebjax.geometry.mount import Mounting, base_from_mounted_camera, mount_of, remounted
+from ebjax.geometry.mount import Mounting, base_from_mounted_camera, remounted
+from ebjax.geometry.mount_numbers import mount_of, pose_of
 from ebjax.slam.world import matrices
 
 MOUNTS = np.array([[0.3, 0.0, 0.0, 0.5, 0.2, 0.0], [0.4, -0.1, 0.2, 1.1, -0.3, 0.1], [-0.2, 0.3, -2.5, 0.8, 0.0, 0.4]])
@@ -15,6 +18,7 @@ def test_there_and_back(mount):
     pose = np.asarray(base_from_mounted_camera(mount))
     np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-12)
     np.testing.assert_allclose(mount_of(pose), mount, atol=1e-12)
+    np.testing.assert_allclose(pose_of(mount), pose, atol=1e-15)
 
 
 @pytest.mark.parametrize("mount", MOUNTS)
@@ -37,6 +41,14 @@ def test_corrections_add_up():
     found = remounted(camera, Mounting(*map(jnp.asarray, (0.07, -0.02, 0.05))))
     expected = camera_over_floor(*numbers, height + 0.05, pitch + 0.07, roll - 0.02, 0.2)
     np.testing.assert_allclose(found.base_from_camera, expected.base_from_camera, atol=1e-12)
+
+
+@pytest.mark.parametrize("mount", MOUNTS)
+def test_corrections_of_a_camera_that_looks_anywhere(mount):
+    camera = camera_over_floor(300.0, 310.0, 150.0, 110.0, 320, 240, 0.6, 0.3)
+    camera = dataclasses.replace(camera, base_from_camera=jnp.asarray(pose_of(mount)))
+    found = mount_of(np.asarray(remounted(camera, Mounting(*map(jnp.asarray, (0.07, -0.02, 0.05)))).base_from_camera))
+    np.testing.assert_allclose(found, mount + np.array([0.07, -0.02, 0, 0.05, 0, 0]), atol=1e-12)
 
 
 def test_derivatives_in_the_corrections():

@@ -78,7 +78,7 @@ def test_other_broken_frames_name_the_file(tmp_path, picture):
         "empty.jpg": "empty",
         "text.png": "not an image",
         "folder.png": "directory",
-        "small.png": "64x48 pixels, but camera.json says 640x480",
+        "small.png": "64x48 pixels, but the camera has 640x480",
     }.items():
         with pytest.raises(BrokenFrame, match=f"{name}: .*{words}"):
             read_image(tmp_path / name, (640, 480))

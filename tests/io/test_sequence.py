@@ -149,10 +149,12 @@ def test_a_run_without_odometry_keeps_every_frame(folder):
     (folder / "odometry.txt").unlink()
     run = read_sequence(folder)
     assert run.odom_from_base is None and len(run) == 10 and run.has_depth and run.dropped == ()
-    assert len(run.notes) == 1 and "odometry.txt: no such file; the run is read without odometry" in run.notes[0]
+    assert len(run.notes) == 1 and "there is no odometry.txt: the run is measured by the floor alone" in run.notes[0]
     np.testing.assert_array_equal(run.timestamps, given.timestamps)
     np.testing.assert_allclose(run.world_from_base[3:, 0, 3], run.timestamps[3:], atol=1e-9)
-    with pytest.raises(ValueError, match=r"odometry\.txt: a calibration needs odometry, .*; give rows `timestamp tx"):
+    with pytest.raises(
+        ValueError, match=r": a calibration needs odometry, and there is no odometry\.txt: .* give rows `timestamp tx"
+    ):
         require_odometry(run, "a calibration")
     moved = run.at_offset(0.1)
     assert moved.odom_from_base is None and len(moved) == 10
@@ -160,7 +162,7 @@ def test_a_run_without_odometry_keeps_every_frame(folder):
 
 def test_an_offset_moves_the_images_but_not_their_depth(folder):
     run = read_sequence(folder, time_offset_s=0.07)
-    assert len(run) == 10 and run.depth_names == tuple(f"depth/{k}.png" for k in range(10))
+    assert len(run) == 10 and run.depth_rows.tolist() == list(range(10))
     np.testing.assert_allclose(run.timestamps, 100.07 + np.arange(10) * 0.2, atol=1e-9)
     np.testing.assert_allclose(run.odom_from_base[:, 0, 3], run.timestamps, atol=1e-9)
     known = np.isfinite(run.world_from_base[:, 0, 3])
@@ -211,16 +213,28 @@ def test_truth_with_another_clock_is_not_ignored(folder):
         read_sequence(folder)
 
 
-@pytest.mark.parametrize("name", ["rgb.txt", "camera.json"])
-def test_missing_files_are_named(folder, name):
+@pytest.mark.parametrize(
+    "name, words",
+    [("rgb.txt", "rgb.txt: no such file; a sequence needs"), ("camera.json", "there is no camera.json: ")],
+)
+def test_missing_files_are_named(folder, name, words):
     (folder / name).unlink()
-    with pytest.raises(ValueError, match=rf"{name}: no such file; a sequence needs"):
+    with pytest.raises(ValueError, match=words):
         read_sequence(folder)
 
 
 def test_missing_folder(tmp_path):
-    with pytest.raises(ValueError, match="nowhere: no such folder"):
+    with pytest.raises(ValueError, match="nowhere: no such folder or file; give a TUM folder"):
         read_sequence(tmp_path / "nowhere")
+
+
+def test_depth_of_another_resolution_is_used_and_of_another_shape_is_not(folder):
+    cv2.imwrite(str(folder / "depth" / "1.png"), np.arange(1, 13, dtype=np.uint16).reshape(3, 4) * 1000)
+    cv2.imwrite(str(folder / "depth" / "2.png"), np.full((6, 6), 1000, np.uint16))
+    run = read_sequence(folder)
+    np.testing.assert_array_equal(run.depth(1), np.arange(1.0, 13).reshape(3, 4).repeat(2, 0).repeat(2, 1))
+    with pytest.raises(BrokenFrame, match=r"depth/2\.png: 6x6 pixels, another shape than the camera's 8x6"):
+        run.depth(2)
 
 
 @pytest.mark.parametrize("name", ["rgb.txt", "depth.txt", "odometry.txt", "groundtruth.txt"])

@@ -10,7 +10,7 @@ from ebjax.features.matching import Features
 from ebjax.features.settle import on_floor
 from ebjax.geometry.camera import camera_over_floor, project
 from ebjax.geometry.homography import apply
-from ebjax.geometry.mount import mount_of
+from ebjax.geometry.mount_numbers import mount_of
 from ebjax.geometry.planar import between, chained
 from ebjax.odometry.motion import Keyframes, MotionConfig, fused_motion
 from ebjax.odometry.mount import _solve as mount_solver

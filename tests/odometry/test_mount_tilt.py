@@ -8,7 +8,7 @@ import pytest
 
 from ebjax.features.settle import PairMatches, on_floor
 from ebjax.geometry.camera import camera_over_floor, project
-from ebjax.geometry.mount import mount_of
+from ebjax.geometry.mount_numbers import mount_of
 from ebjax.geometry.planar import compose, inverse
 from ebjax.geometry.rigid import kabsch
 from ebjax.odometry.mount import FEWEST, PRIOR_DEG, Tilt, refine_tilt, tilted

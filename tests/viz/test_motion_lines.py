@@ -8,6 +8,7 @@ import numpy as np
 from ebjax.features.settle import PairMatches
 from ebjax.geometry.camera import camera_over_floor
 from ebjax.io.camera_file import CameraFile
+from ebjax.io.logs.log import Images, Log
 from ebjax.io.sequence import Sequence
 from ebjax.odometry.chain import Edges
 from ebjax.odometry.clock import TimeOffset
@@ -121,7 +122,9 @@ def test_what_was_not_put_right_is_no_line():
 def test_the_table_has_a_row_a_step(tmp_path):
     names = tuple(f"{k}.png" for k in range(21))
     camera = CameraFile(np.eye(3), np.eye(4), 640, 480, 1000.0)
-    sequence = Sequence(Path("."), names, 0.1 * np.arange(21.0), None, None, camera, False, (), ())
+    times = 0.1 * np.arange(21.0)
+    log = Log(Path("."), "folder", Images("rgb.txt", names, times, lambda k: np.zeros((480, 640, 3), np.uint8)))
+    sequence = Sequence(log, np.arange(21), times, None, None, camera)
     one = motion()
     write_steps(tmp_path / "steps.csv", sequence, one)
     with open(tmp_path / "steps.csv", newline="", encoding="utf-8") as file:

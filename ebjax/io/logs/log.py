@@ -1,0 +1,64 @@
+"""A robot's log, whatever its kind: images in time order, and what else was recorded beside them."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from ebjax.io.calibration.calibration import Calibration
+from ebjax.io.trajectory import Trajectory
+
+
+@dataclass(frozen=True)
+class Images:
+    """Images of one kind in time order, decoded when asked for.
+
+    Attributes:
+      source: what they came from, for messages: a list, a topic and its file.
+      names: of the single images, for messages and tables.
+      timestamps: s, increasing.
+      decode: index -> the image; raises BrokenFrame, naming it. Colour: RGB uint8 H x W x 3. Depth: float32 H x W, m
+        along the optical axis, 0 = missing.
+      files: of the single images, where each is an image file of its own.
+    """
+
+    source: str
+    names: tuple[str, ...]
+    timestamps: Float[np.ndarray, " N"]
+    decode: Callable[[int], np.ndarray]
+    files: tuple[Path, ...] = ()
+
+    def __len__(self) -> int:
+        """Returns how many there are."""
+        return len(self.names)
+
+
+@dataclass(frozen=True)
+class Log:
+    """What was recorded. Opening one decodes no image, and memory does not grow with the images.
+
+    Attributes:
+      path: of the file or folder.
+      kind: in words, as "ROS 1 bag".
+      colour: the images of the camera that is used.
+      depth: registered to that camera, maybe of another resolution; None without.
+      camera: None where the log says nothing of it.
+      odometry: poses of base_link in the odometry's frame; None without.
+      truth: poses of base_link in the world; None without.
+      notes: what the user should know of how it was read, a line each.
+      contents: what the log holds in all, a line each: topics with types and counts, sessions, cameras.
+      missing: for each of "camera", "mount", "odometry", "depth" that the log lacks, how to give it, one sentence.
+    """
+
+    path: Path
+    kind: str
+    colour: Images
+    depth: Images | None = None
+    camera: Calibration | None = None
+    odometry: Trajectory | None = None
+    truth: Trajectory | None = None
+    notes: tuple[str, ...] = ()
+    contents: tuple[str, ...] = ()
+    missing: Mapping[str, str] = field(default_factory=dict)

@@ -1,0 +1,121 @@
+"""Opens a robot's log of any known kind, recognised by what is in it."""
+
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from ebjax.io.logs.log import Log
+
+SQLITE, ROSBAG, MCAP, ZSTD = b"SQLite format 3\x00", b"#ROSBAG", b"\x89MCAP0\r\n", b"\x28\xb5\x2f\xfd"
+BAG_SUFFIXES = (".db3", ".mcap", ".zstd")
+
+
+@dataclass(frozen=True)
+class Topics:
+    """Topics of a bag that are used in place of those that are chosen by their types."""
+
+    image: str | None = None
+    """Of the colour images."""
+    depth: str | None = None
+    """Of the depth images."""
+    camera_info: str | None = None
+    """Of the camera's calibration."""
+    odometry: str | None = None
+    """Of the odometry, nav_msgs/Odometry."""
+    truth: str | None = None
+    """Of the ground truth: it is read only where it is named."""
+
+
+@dataclass(frozen=True)
+class LogOptions:
+    """What is taken of a log that holds more than one of it."""
+
+    topics: Topics = field(default_factory=Topics)
+    session: int | None = None
+    """Of an RTAB-Map database with several sessions: its number (map_id). None: the one with most images."""
+    camera_index: int | None = None
+    """Of several cameras side by side: its number. None: the one that looks at the floor."""
+    images: Literal["rectified", "raw"] = "rectified"
+    """How an RTAB-Map database's images are understood: rectified, as RTAB-Map does, or raw, bent by the lens."""
+    frames_per_s: float | None = None
+    """Of a video or a folder of images that tells no times."""
+
+
+DEFAULT = LogOptions()
+
+
+def open_log(
+    path: str | Path, options: LogOptions = DEFAULT, *, depth: bool = True, depth_scale: float | None = None
+) -> Log:
+    """Opens a TUM folder, a ROS bag (1, 2, mcap; file or folder), an RTAB-Map database, a video or a folder of images.
+
+    Args:
+      path: file or folder.
+      options: see there.
+      depth: whether to look for depth in a TUM folder.
+      depth_scale: depth file units per metre of a TUM folder; None: as its camera.json says.
+
+    Raises:
+      ValueError: nothing there, nothing that is read, or a fault in it; names file and remedy.
+    """
+    kind = kind_of(path)
+    if kind == "bag":
+        from ebjax.io.logs.ros_bag import open_bag
+
+        return open_bag(path, topics={role: topic for role, topic in asdict(options.topics).items() if topic})
+    if kind == "rtabmap":
+        from ebjax.io.logs.rtabmap import open_rtabmap
+
+        return open_rtabmap(path, session=options.session, camera_index=options.camera_index, images=options.images)
+    if kind == "video":
+        from ebjax.io.logs.video import open_video
+
+        return open_video(path, frames_per_s=options.frames_per_s)
+    if kind == "images":
+        from ebjax.io.logs.photographs import open_images
+
+        return open_images(path, frames_per_s=options.frames_per_s)
+    from ebjax.io.logs.tum_folder import open_tum_folder
+
+    return open_tum_folder(path, depth=depth, depth_scale=depth_scale)
+
+
+def kind_of(path: str | Path) -> Literal["tum", "bag", "rtabmap", "video", "images"]:
+    """Which reader takes a path, by its first bytes or by what is in the folder."""
+    path = Path(path)
+    if path.is_dir():
+        return _folder_kind(path)
+    if not path.is_file():
+        raise ValueError(
+            f"{path}: no such folder or file; give a TUM folder (rgb.txt, camera.json), a .bag, .db3, .mcap or their "
+            "folder, an RTAB-Map .db, a video, or a folder of images"
+        )
+    with open(path, "rb") as file:
+        head = file.read(16)
+    if head.startswith(SQLITE):
+        return "rtabmap" if path.suffix != ".db3" and not _is_rosbag(path) else "bag"
+    if head.startswith((ROSBAG, MCAP, ZSTD)) or path.suffix in (".bag", *BAG_SUFFIXES):
+        return "bag"
+    return "rtabmap" if path.suffix == ".db" else "video"
+
+
+def _folder_kind(path: Path) -> Literal["tum", "bag", "images"]:
+    names = [child.name for child in path.iterdir()]
+    if any(name in ("rgb.txt", "camera.json", "odometry.txt") for name in names):
+        return "tum"
+    if "metadata.yaml" in names or any(name.endswith((".db3", ".mcap", ".db3.zstd", ".mcap.zstd")) for name in names):
+        return "bag"
+    pictures = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp")
+    return "images" if any(name.lower().endswith(pictures) for name in names) else "tum"
+
+
+def _is_rosbag(path: Path) -> bool:
+    import sqlite3
+
+    with sqlite3.connect(f"file:{path}?mode=ro", uri=True) as database:
+        try:
+            rows = database.execute("SELECT name FROM sqlite_master WHERE name IN ('topics', 'messages')").fetchall()
+        except sqlite3.DatabaseError:
+            rows = []
+    database.close()
+    return len(rows) == 2
