@@ -3,7 +3,7 @@
 import json
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -22,8 +22,9 @@ from ebjax.features.table import Pair, as_json, compare_inputs, compare_pairs, m
 from ebjax.geometry.camera import Camera, FloorView, camera_from
 from ebjax.io.atomic import whole_file, whole_folder
 from ebjax.io.cache import open_cache
-from ebjax.io.camera_file import read_camera
 from ebjax.io.images import read_both, read_depths, read_image
+from ebjax.io.logs.camera import camera_in
+from ebjax.io.logs.mount_options import MountOptions
 from ebjax.io.pairs import read_pairs
 from ebjax.models.d2net import OFFSETS
 from ebjax.models.fast import Arithmetic
@@ -42,7 +43,8 @@ class Config:
     out: Path
     """Folder for matches.png, matches.csv and transform.json."""
     camera: Path | None = None
-    """camera.json: makes the floor view metric."""
+    """camera.json or any other calibration that is read: makes the floor view metric."""
+    mount: MountOptions = field(default_factory=MountOptions)
     quad: tuple[float, float, float, float, float, float, float, float] | None = None
     """Four points of the floor, x y px each: far left, far right, near right, near left."""
     extractor: Literal["floornet", "rootsift", "sift", "orb", "surf", "superpoint", "d2net", "alike", "all"] = (
@@ -142,10 +144,9 @@ def check(config: Config) -> None:
 def main(config: Config) -> None:
     """Reads, matches, prints the table, writes."""
     check(config)
-    camera_file = None if config.camera is None else read_camera(config.camera, depth=config.depth_a is not None)
-    size = None if camera_file is None else (camera_file.width, camera_file.height)
-    image_a, image_b = read_both(config.a, config.b, size)
+    image_a, image_b = read_both(config.a, config.b)
     height, width = image_a.shape[:2]
+    camera_file = None if config.camera is None else camera_in(config.camera, (width, height), config.mount)
     quad = None if config.quad is None else checked_quad(config.quad, width, height)
     depths = None
     if config.depth_a is not None and config.depth_b is not None and camera_file is not None:

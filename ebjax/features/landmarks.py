@@ -48,6 +48,19 @@ def located(
     return Landmarks(features, apply(view.floor_from_view, keypoints), points, range_m, pixels, grey)
 
 
+@jax.jit
+def levelled(landmarks: Landmarks, view: RunView, camera: Camera) -> Landmarks:
+    """What a tilted camera saw of one frame, as if the run's own had seen it: pixels and depths of the level camera."""
+    pose = jnp.asarray(camera.base_from_camera, landmarks.points.dtype)
+    ahead = (landmarks.points - pose[None, :3, 3]) @ pose[:3, 2]
+    keypoints = landmarks.features.keypoints.astype(view.image_from_view.dtype)
+    return dataclasses.replace(
+        landmarks,
+        pixels=apply(view.image_from_view, keypoints),
+        range_m=jnp.where(landmarks.range_m > 0, ahead, 0).astype(landmarks.range_m.dtype),
+    )
+
+
 def take(landmarks: Landmarks, rows: Int[np.ndarray, " K"]) -> Landmarks:
     """Some keyframes' landmarks."""
     return jax.tree.map(lambda leaf: leaf[rows], landmarks)

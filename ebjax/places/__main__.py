@@ -3,7 +3,7 @@
 import csv
 import math
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -17,9 +17,10 @@ from ebjax.geometry.camera import camera_from
 from ebjax.geometry.warp import Taps
 from ebjax.io.atomic import whole_file
 from ebjax.io.cache import Cache, content_key, digest, open_cache
-from ebjax.io.camera_file import read_camera
 from ebjax.io.image_folder import list_images, read_truth
 from ebjax.io.images import BrokenFrame, read_image
+from ebjax.io.logs.camera import camera_in
+from ebjax.io.logs.mount_options import MountOptions
 from ebjax.models.fast import Arithmetic
 from ebjax.places.bench import CONTENDERS, bench
 from ebjax.places.descriptor import Descriptor, descriptor
@@ -46,7 +47,8 @@ class PlacesConfig:
     out: Path = Path("runs/places")
     """Folder for ranked.csv."""
     camera: Path | None = None
-    """camera.json; the floor view follows from it."""
+    """camera.json or any other calibration that is read; the floor view follows from it."""
+    mount: MountOptions = field(default_factory=MountOptions)
     quad: Quad | None = None
     """Four image points of a rectangle on the floor, px: far left, far right, near right, near left (x y each)."""
     quad_margin: float = 0.5
@@ -87,8 +89,7 @@ class Looker:
             raise ValueError(f"{ways} of --camera, --quad and --raw are given; give one")
         self.config, self.descriptor = config, chosen
         self._look = jax.jit(chosen.look) if chosen.jitted else chosen.look
-        self.file = read_camera(config.camera, depth=False) if config.camera is not None else None
-        self.size = (self.file.width, self.file.height) if self.file else None
+        self.size: tuple[int, int] | None = None
         self.cache: Cache | None = None
         self.samples: Taps | None = None
         self.seen = jnp.zeros((0, 0), bool)
@@ -111,10 +112,9 @@ class Looker:
         image = read_image(path)
         size = image.shape[1], image.shape[0]
         if size != self.size and not self.config.raw:
-            source = self.config.camera or "the first image"
             assert self.size is not None
             raise ValueError(
-                f"{path}: {size[0]}x{size[1]} pixels, but {source} says {self.size[0]}x{self.size[1]}; "
+                f"{path}: {size[0]}x{size[1]} pixels, but the first image has {self.size[0]}x{self.size[1]}; "
                 "give images of one camera at its full size"
             )
         samples = self.samples if size == self.size else whole_image(size, self.seen.shape)
@@ -141,10 +141,10 @@ class Looker:
             scale = side / max(size)
             self.seen = jnp.ones((round(size[1] * scale), round(size[0] * scale)), bool)
             self.size, self.samples = size, whole_image(size, self.seen.shape)
-        elif self.file is not None:
-            self.size = self.file.width, self.file.height
+        elif self.config.camera is not None:
+            self.size, file = size, camera_in(self.config.camera, size, self.config.mount)
             try:
-                self.samples, self.seen = camera_view(camera_from(self.file), self.config.metres_per_px)
+                self.samples, self.seen = camera_view(camera_from(file), self.config.metres_per_px)
             except ValueError as fault:
                 raise ValueError(f"{self.config.camera}: {fault}") from None
         else:

@@ -22,7 +22,8 @@ from ebjax.geometry.camera import Camera, FloorView, camera_from
 from ebjax.io.atomic import whole_folder
 from ebjax.io.cache import open_cache
 from ebjax.io.calibration.depth_scale import depth_scale_in
-from ebjax.io.logs.camera import MountOptions, camera_of
+from ebjax.io.logs.camera import camera_of
+from ebjax.io.logs.mount_options import MountOptions
 from ebjax.io.logs.open import LogOptions, open_log
 from ebjax.io.mask import alpha_mask, read_mask
 from ebjax.io.sequence import BrokenFrame, Sequence, read_sequence
@@ -34,6 +35,8 @@ from ebjax.slam.world import planar
 from ebjax.views.depth_floor import camera_from_depth
 from ebjax.views.run_view import RunView, choose_floor, from_camera, from_quad, without
 from ebjax.views.static_pixels import spread, static_pixels
+from ebjax.views.tilted import tilt_of_poses
+from ebjax.viz.rtabmap_copy import write_rtabmap_copy
 from ebjax.viz.run_folder import write_run
 from ebjax.viz.run_metrics import run_metrics, summary_lines
 
@@ -166,7 +169,17 @@ def main(config: Config) -> None:
         with contextlib.ExitStack() as at_end:
             known = remembering(config, at_end)
             result = run_pipeline(
-                frames.load, sequence.timestamps, odometry, camera, looking, config, progress, known, retimed, ignored
+                frames.load,
+                sequence.timestamps,
+                odometry,
+                camera,
+                looking,
+                config,
+                progress,
+                known,
+                retimed,
+                ignored,
+                None if sequence.odom_from_base is None else tilt_of_poses(sequence.odom_from_base),
             )
     except ValueError as fault:
         if not frames.broken:
@@ -183,6 +196,7 @@ def main(config: Config) -> None:
     metrics["peak_memory_mb"] = round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, 1)
     with whole_folder(config.out) as folder:
         write_run(folder, sequence, frames.load, result, metrics, config.map_metres_per_px)
+        copied = write_rtabmap_copy(folder, config.out, sequence, result)
         dump_config(config, folder / "config.yaml")
     print("\n".join(summary_lines(metrics)))
     for line in (metrics["motion"] or {}).get("warnings", ()):
@@ -190,6 +204,8 @@ def main(config: Config) -> None:
     steps = "" if metrics["motion"] is None else "steps.csv, "
     names = f"report.html, trajectory.tum, {steps}loop_closures.csv, pose_graph.g2o, metrics.json, floor_map.png"
     print(f"{config.out}: {names}")
+    for line in copied:
+        print(line)
 
 
 def run_view(config: Config, ignored: np.ndarray | None, camera: Camera) -> RunView:

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float, UInt8
 
 from ebjax.features.extractor import Extractor
-from ebjax.features.landmarks import Landmarks, located
+from ebjax.features.landmarks import Landmarks, levelled, located
 from ebjax.features.matching import Features
 from ebjax.features.upright import ROOTSIFT
 from ebjax.geometry.camera import Camera
@@ -32,6 +32,11 @@ class Described:
     place: Mapping[str, Array]  # what the global descriptor keeps of it
     landmarks: Landmarks
     turned: Landmarks | None  # of the view turned by pi, where the extractor has to look again
+
+    def levelled(self, view: RunView, camera: Camera) -> "Described":
+        """What a tilted camera saw, as if the run's own had seen it."""
+        turned = None if self.turned is None else levelled(self.turned, view, camera)
+        return dataclasses.replace(self, landmarks=levelled(self.landmarks, view, camera), turned=turned)
 
 
 @partial(jax.jit, static_argnames=("extractor", "descriptor"))

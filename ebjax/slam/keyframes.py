@@ -15,10 +15,12 @@ from ebjax.places.descriptor import Descriptor
 from ebjax.slam.describe import Described, describe
 from ebjax.views.floor_view import view_taps
 from ebjax.views.run_view import RunView
+from ebjax.views.tilted import tilted
 
 Load = Callable[[int], tuple[np.ndarray, np.ndarray | None] | None]
 Progress = Callable[[Iterable, int, str], Iterator]
 PREFETCH = 4
+_taps = jax.jit(view_taps)
 
 
 def describe_keyframes(
@@ -29,8 +31,19 @@ def describe_keyframes(
     extractor: Extractor,
     descriptor: Descriptor,
     progress: Progress,
+    level_from_base: Float[np.ndarray, "F 4 4"] | None = None,
 ) -> tuple[Int[np.ndarray, " N"], Described]:
     """Describes the frames that can be read: their numbers, and everything about them stacked.
+
+    Args:
+      load: frame number -> (RGB, depth in metres or None), or None.
+      due: the frames.
+      camera: of the run.
+      view: of the run.
+      extractor: of local features.
+      descriptor: of places.
+      progress: wraps the loop.
+      level_from_base: how the robot leans at every frame of the run; None: it does not.
 
     Raises:
       ValueError: fewer than two of them could be read.
@@ -44,15 +57,12 @@ def describe_keyframes(
             if images is None:
                 continue
             rgb, depth = images
-            one = describe(
-                rgb,
-                blank if depth is None else depth,
-                samples,
-                view,
-                camera,
-                extractor=extractor,
-                descriptor=descriptor,
-            )
+            depth = blank if depth is None else depth
+            leans = level_from_base is not None
+            seen_by = tilted(view, camera, level_from_base[frame]) if level_from_base is not None else (view, camera)
+            looked = _taps(*seen_by) if leans else samples
+            one = describe(rgb, depth, looked, *seen_by, extractor=extractor, descriptor=descriptor)
+            one = one.levelled(view, camera) if leans else one
             rows.append(jax.tree.map(np.asarray, one))
             keyframes.append(frame)
     if len(rows) < 2:

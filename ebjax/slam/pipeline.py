@@ -32,6 +32,7 @@ from ebjax.posegraph.levenberg import Solution
 from ebjax.posegraph.lm import cut_off, solve
 from ebjax.slam.describe import Described
 from ebjax.slam.keyframes import Load, Progress
+from ebjax.slam.lean import Lean
 from ebjax.slam.path import Path as RunPath
 from ebjax.slam.select import KEPT, Measured, SelectConfig, plausible, select
 from ebjax.slam.travel import Recording, motion_config, travel
@@ -134,6 +135,7 @@ class Result:
     solution: Solution
     poses: Float[np.ndarray, "F 3"]
     seconds: dict[str, float]
+    lean: Lean | None = None
 
     @property
     def kept(self) -> Bool[np.ndarray, " K"]:
@@ -152,6 +154,7 @@ def run(
     remember: Remember | None = None,
     odometry_at: Callable[[float], Float[np.ndarray, "F 3"]] | None = None,
     ignored: Bool[np.ndarray, "H W"] | None = None,
+    level_from_base: Float[np.ndarray, "F 4 4"] | None = None,
 ) -> Result:
     """Runs the pipeline on a whole sequence.
 
@@ -166,6 +169,7 @@ def run(
       remember: of a network's name and weights, gives what wraps its functions so that they look up what they know.
       odometry_at: (what is added to the images' stamps, s) -> odometry of every frame: the offset is then estimated.
       ignored: pixels of the image that are no world, such as the robot's own body.
+      level_from_base: how the robot leans at every frame, by odometry; used where the floor views agree.
 
     Raises:
       ValueError: fewer than two frames could be read; wheels are asked for and there is no odometry.
@@ -184,7 +188,7 @@ def run(
         chosen = remembered(chosen, remember(config.extractor, chosen.weights))
     if remember is not None and not place.jitted:
         place = dataclasses.replace(place, look=remember(config.descriptor, place.weights)(place.look))
-    recording = Recording(load, timestamps, odom_from_base, odometry_at, ignored)
+    recording = Recording(load, timestamps, odom_from_base, odometry_at, ignored, level_from_base)
     view_of = view if callable(view) else lambda _: view
     found = travel(recording, camera, view_of, chosen, place, config, progress, seconds)
     keyframes, described, path = found.keyframes, found.described, found.path
@@ -269,6 +273,7 @@ def run(
         solution,
         poses,
         seconds,
+        found.lean,
     )
 
 

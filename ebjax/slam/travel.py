@@ -17,6 +17,7 @@ from ebjax.places.descriptor import Descriptor
 from ebjax.slam.describe import Described
 from ebjax.slam.follow import follow
 from ebjax.slam.keyframes import Load, Progress, describe_keyframes, moved_enough
+from ebjax.slam.lean import Lean, leaning
 from ebjax.slam.path import Path, path_of_motion, path_of_wheels
 from ebjax.views.run_view import RunView, remounted_view
 
@@ -36,13 +37,15 @@ class Recording:
     odom_from_base: Float[np.ndarray, "F 3"] | None
     odometry_at: Callable[[float], Float[np.ndarray, "F 3"]] | None
     ignored: Bool[np.ndarray, "H W"] | None
+    level_from_base: Float[np.ndarray, "F 4 4"] | None = None
 
 
 @dataclasses.dataclass(frozen=True)
 class Travel:
     """The keyframes' numbers and descriptions under the camera that the run settled on, and the path.
 
-    `motion`, `given` and `looked` (described under the camera as given) are None where wheels alone say the path.
+    `motion`, `given` and `looked` (described under the camera as given) are None where wheels alone say the path;
+    `lean` where odometry says nothing of roll and pitch.
     """
 
     keyframes: Int[np.ndarray, " N"]
@@ -54,6 +57,7 @@ class Travel:
     given: Keyframes | None = None
     looked: Described | None = None
     way: Float[np.ndarray, "F 3"] | None = None
+    lean: Lean | None = None
 
     def moved_to(self, motion: Motion) -> "Travel":
         """The same where the motion has another camera."""
@@ -101,11 +105,15 @@ def travel(
         frames = list(range(len(recording.timestamps)))
     else:
         frames = moved_enough(odometry, config.keyframe_m, config.keyframe_deg)
-    tilt = None
+    tilt, lean = None, None
+    if recording.level_from_base is not None and not wheels_alone:
+        how = recording.level_from_base, camera, view_of(camera), chosen, place, config.seed
+        lean = leaning(recording.load, frames, *how)
+    level = lean.level_from_base if lean is not None and lean.used else None
     for again in (False, True):
         start = time.perf_counter()
         view = view_of(camera)
-        keyframes, described = describe_keyframes(recording.load, frames, camera, view, chosen, place, progress)
+        keyframes, described = describe_keyframes(recording.load, frames, camera, view, chosen, place, progress, level)
         seconds["describe"] = seconds.get("describe", 0.0) + time.perf_counter() - start
         if wheels_alone:
             assert odometry is not None
@@ -120,7 +128,7 @@ def travel(
         if again or not off.applied or max(abs(off.pitch_deg), abs(off.roll_deg)) < LOOK_AGAIN_DEG:
             break
         tilt, camera = off, found.camera
-    return found
+    return dataclasses.replace(found, lean=lean)
 
 
 def _moved(

@@ -21,6 +21,7 @@ from ebjax.slam.pipeline import Load, Result
 from ebjax.slam.select import THINNED
 from ebjax.slam.world import matrices, planar
 from ebjax.views.run_view import RunView
+from ebjax.views.tilted import tilted
 from ebjax.viz import figures
 from ebjax.viz.motion import entries, write_steps
 from ebjax.viz.report import report
@@ -128,8 +129,11 @@ def match_figure(sequence: Sequence, load: Load, result: Result, view: RunView, 
     points = []
     for frame, rows in ((i, result.verified.query[k]), (j, result.verified.reference[k])):
         keypoints = result.described.landmarks.features.keypoints[np.searchsorted(result.keyframes, frame)][rows]
-        ideal = apply(view.image_from_view, jnp.asarray(keypoints, jnp.float64))
-        points.append(np.asarray(raw_from_ideal(result.camera, ideal)))
+        seen_by = view, result.camera
+        if result.lean is not None and result.lean.used:
+            seen_by = tilted(*seen_by, result.lean.level_from_base[frame])
+        ideal = apply(seen_by[0].image_from_view, jnp.asarray(keypoints, jnp.float64))
+        points.append(np.asarray(raw_from_ideal(seen_by[1], ideal)))
     used = np.asarray(result.verified.matched[k])
     caption = (
         f"{sequence.names[i]} and {sequence.names[j]}: {candidates.inliers[k]} of {candidates.total[k]} matches agree; "

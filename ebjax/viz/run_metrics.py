@@ -36,6 +36,12 @@ def run_metrics(sequence: Sequence, broken: Mapping[str, str], result: Result) -
         "reasons": reason_counts(result.reasons),
         "nothing_kept": None if kept.any() else why_nothing(result.reasons, len(candidates.i)),
         "motion": None if result.motion is None else motion_metrics(result.motion),
+        "scale_from_height_m": None
+        if sequence.odom_from_base is not None or sequence.has_depth
+        else round(float(sequence.camera.base_from_camera[2, 3]), 4),
+        "odometry_tilt": None
+        if result.lean is None
+        else {"rms_deg": result.lean.rms_deg, "used": result.lean.used, "says": result.lean.says()},
         "pose_graph": {
             "cost_before": float(result.solution.initial_cost),
             "cost_after": float(result.solution.cost),
@@ -80,6 +86,10 @@ def summary_lines(metrics: Mapping[str, Any]) -> list[str]:
         f"{metrics['closures_kept']} loop closures kept ({metrics['closures_opposing']} from opposing views)"
     )
     lines += motion_lines(metrics)
+    if (height := metrics["scale_from_height_m"]) is not None:
+        lines.append(f"scale: without wheels and depth all lengths rest on the camera's height of {height:.3f} m")
+    if lean := metrics["odometry_tilt"]:
+        lines.append(lean["says"])
     if not metrics["closures_kept"]:
         lines.append(metrics["nothing_kept"])
     if truth := metrics.get("closures_against_truth"):

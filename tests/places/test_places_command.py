@@ -138,12 +138,12 @@ def test_other_descriptors_find_images_from_both_sides(folders, tmp_path, name):
         (("--raw", "--descriptor", "hog", "--ranking", "correlation"), "no maps to correlate"),
         (("--raw", "--descriptor", "vgg19", "--weights", "OUT"), "python -m ebjax.models convert vgg19"),
         (("--raw", "--truth", "TRUTH"), "truth.json: key '9' is not the number of a query"),
-        (("--camera", "CAMERA"), "camera.json says 640x480"),
+        (("--camera", "CAMERA"), "camera.json: a camera of 640 x 400 px, but the images have "),
     ],
 )
 def test_bad_input_is_one_line(folders, tmp_path, capsys, change, message):
     down = [[0, -1, 0, 0.5], [-1, 0, 0, 0], [0, 0, -1, 1.0], [0, 0, 0, 1]]
-    camera = dict(fx=300, fy=300, cx=320, cy=240, width=640, height=480, T_base_camera=down)
+    camera = dict(fx=300, fy=300, cx=320, cy=200, width=640, height=400, T_base_camera=down)
     (tmp_path / "camera.json").write_text(json.dumps(camera))
     (tmp_path / "truth.json").write_text('{"9": [0]}')
     paths = {"TRUTH": tmp_path / "truth.json", "CAMERA": tmp_path / "camera.json", "OUT": tmp_path}

@@ -22,6 +22,7 @@ class Images:
       decode: index -> the image; raises BrokenFrame, naming it. Colour: RGB uint8 H x W x 3. Depth: float32 H x W, m
         along the optical axis, 0 = missing.
       files: of the single images, where each is an image file of its own.
+      stored: index -> the JPEG or PNG as it is stored, None where it is not stored so; None where no image is.
     """
 
     source: str
@@ -29,6 +30,7 @@ class Images:
     timestamps: Float[np.ndarray, " N"]
     decode: Callable[[int], np.ndarray]
     files: tuple[Path, ...] = ()
+    stored: Callable[[int], bytes | None] | None = None
 
     def __len__(self) -> int:
         """Returns how many there are."""
@@ -49,6 +51,7 @@ class Log:
       truth: poses of base_link in the world; None without.
       notes: what the user should know of how it was read, a line each.
       contents: what the log holds in all, a line each: topics with types and counts, sessions, cameras.
+      base_from_camera: where the log says the camera sits, if it says so but nothing else of the camera.
       missing: for each of "camera", "mount", "odometry", "depth" that the log lacks, how to give it, one sentence.
     """
 
@@ -61,4 +64,5 @@ class Log:
     truth: Trajectory | None = None
     notes: tuple[str, ...] = ()
     contents: tuple[str, ...] = ()
+    base_from_camera: Float[np.ndarray, "4 4"] | None = None
     missing: Mapping[str, str] = field(default_factory=dict)

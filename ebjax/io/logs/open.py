@@ -1,12 +1,22 @@
 """Opens a robot's log of any known kind, recognised by what is in it."""
 
+import sqlite3
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Literal
 
 from ebjax.io.logs.log import Log
+from ebjax.io.logs.photographs import open_images
+from ebjax.io.logs.ros_bag import open_bag
+from ebjax.io.logs.rtabmap import open_rtabmap
+from ebjax.io.logs.tum_folder import open_tum_folder
+from ebjax.io.logs.video import open_video
 
 SQLITE, ROSBAG, MCAP, ZSTD = b"SQLite format 3\x00", b"#ROSBAG", b"\x89MCAP0\r\n", b"\x28\xb5\x2f\xfd"
+READ = (
+    "a TUM folder (rgb.txt, camera.json), a .bag, .db3, .mcap or their folder, an RTAB-Map .db, a video, or a folder "
+    "of images"
+)
 BAG_SUFFIXES = (".db3", ".mcap", ".zstd")
 
 
@@ -60,23 +70,13 @@ def open_log(
     """
     kind = kind_of(path)
     if kind == "bag":
-        from ebjax.io.logs.ros_bag import open_bag
-
         return open_bag(path, topics={role: topic for role, topic in asdict(options.topics).items() if topic})
     if kind == "rtabmap":
-        from ebjax.io.logs.rtabmap import open_rtabmap
-
         return open_rtabmap(path, session=options.session, camera_index=options.camera_index, images=options.images)
     if kind == "video":
-        from ebjax.io.logs.video import open_video
-
         return open_video(path, frames_per_s=options.frames_per_s)
     if kind == "images":
-        from ebjax.io.logs.photographs import open_images
-
         return open_images(path, frames_per_s=options.frames_per_s)
-    from ebjax.io.logs.tum_folder import open_tum_folder
-
     return open_tum_folder(path, depth=depth, depth_scale=depth_scale)
 
 
@@ -86,10 +86,7 @@ def kind_of(path: str | Path) -> Literal["tum", "bag", "rtabmap", "video", "imag
     if path.is_dir():
         return _folder_kind(path)
     if not path.is_file():
-        raise ValueError(
-            f"{path}: no such folder or file; give a TUM folder (rgb.txt, camera.json), a .bag, .db3, .mcap or their "
-            "folder, an RTAB-Map .db, a video, or a folder of images"
-        )
+        raise ValueError(f"{path}: no such folder or file; give {READ}")
     with open(path, "rb") as file:
         head = file.read(16)
     if head.startswith(SQLITE):
@@ -106,12 +103,12 @@ def _folder_kind(path: Path) -> Literal["tum", "bag", "images"]:
     if "metadata.yaml" in names or any(name.endswith((".db3", ".mcap", ".db3.zstd", ".mcap.zstd")) for name in names):
         return "bag"
     pictures = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp")
-    return "images" if any(name.lower().endswith(pictures) for name in names) else "tum"
+    if not any(name.lower().endswith(pictures) for name in names):
+        raise ValueError(f"{path}: nothing in this folder is read; give {READ}")
+    return "images"
 
 
 def _is_rosbag(path: Path) -> bool:
-    import sqlite3
-
     with sqlite3.connect(f"file:{path}?mode=ro", uri=True) as database:
         try:
             rows = database.execute("SELECT name FROM sqlite_master WHERE name IN ('topics', 'messages')").fetchall()

@@ -13,6 +13,7 @@ import numpy as np
 from ebjax.io.calibration.calibration import Calibration
 from ebjax.io.logs.bag import Bag, open_files
 from ebjax.io.logs.log import Images, Log
+from ebjax.io.logs.mount_options import MOUNT
 from ebjax.io.logs.ros_camera_info import calibration_from
 from ebjax.io.logs.ros_clock import clock
 from ebjax.io.logs.ros_collect import Collected, collect
@@ -26,9 +27,9 @@ from ebjax.io.trajectory import Trajectory
 
 GIVE = {
     "camera": "no CameraInfo with values; give --camera FILE",
-    "mount": "tf does not join the camera with base_link; give the mount, T_base_camera, in --camera FILE",
-    "odometry": "no odometry topic with poses, and no odom frame in tf; give --odometry FILE, or go without",
-    "depth": "no depth topic; give another log that has one, or go without",
+    "mount": f"tf does not join the camera with base_link; {MOUNT}",
+    "odometry": "no odometry topic with poses, and no odom frame in tf: the run is measured by the floor alone",
+    "depth": "no depth topic: the floor is metric without depth",
 }
 
 
@@ -70,9 +71,6 @@ class _Opening:
             self.notes += camera.notes
             return dataclasses.replace(camera, base_from_camera=base_from_camera)
         self.missing.setdefault("camera", GIVE["camera"])
-        if base_from_camera is not None:
-            rows = [[round(float(value), 6) for value in row] for row in base_from_camera]
-            self.notes.append(f"tf: the mount, for the camera's file: T_base_camera {rows}")
         return None
 
     def depth(self, base: str | None, camera: Calibration | None, times: np.ndarray) -> Images | None:
@@ -155,5 +153,6 @@ def open_bag(path: str | Path, *, topics: Mapping[str, str] | None = None) -> Lo
         truth=None if chosen.truth is None else opening.poses(chosen.truth, base),
         notes=tuple(opening.notes),
         contents=bag.contents(),
+        base_from_camera=None if camera is not None else base_from_camera,
         missing=opening.missing,
     )

@@ -52,5 +52,15 @@ def images_of(
     if len(unique) < len(times):
         notes += (f"{topic}: {len(times) - len(unique)} images at times that occur twice are left out",)
     names = tuple(f"{topic} {time // 10**9}.{time % 10**9 // 1000:06d}" for time in unique.tolist())
-    decode = partial(_decode, bag, rows[first], names, decoder)
-    return Images(f"{topic} of {bag.path}", names, unique * 1e-9, decode), notes
+    kept = rows[first]
+    decode, stored = partial(_decode, bag, kept, names, decoder), partial(_stored, bag, kept)
+    packed = bag.channels[channel].type == COMPRESSED
+    return Images(f"{topic} of {bag.path}", names, unique * 1e-9, decode, stored=stored if packed else None), notes
+
+
+def _stored(bag: Bag, rows: np.ndarray, index: int) -> bytes | None:
+    channel = bag.channels[bag.channel[rows[index]]]
+    try:
+        return bytes(image_from(bag.read(int(rows[index])), channel.encoding, channel.type).data)
+    except ValueError:
+        return None

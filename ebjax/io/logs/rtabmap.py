@@ -14,12 +14,13 @@ import numpy as np
 
 from ebjax.io.calibration.calibration import Calibration
 from ebjax.io.logs.log import Images, Log
+from ebjax.io.logs.mount_options import MOUNT
 from ebjax.io.logs.rtabmap_calibration import DatabaseCamera
 from ebjax.io.logs.rtabmap_camera import calibration_from_camera, chosen_camera
 from ebjax.io.logs.rtabmap_contents import contents_of
 from ebjax.io.logs.rtabmap_database import NEWEST, check_version, reading
 from ebjax.io.logs.rtabmap_depth import HEAD_BYTES, DepthHead, depth_head
-from ebjax.io.logs.rtabmap_images import Strip, name_of, node_of, read_colour, read_depth
+from ebjax.io.logs.rtabmap_images import Strip, name_of, node_of, read_colour, read_depth, stored_colour
 from ebjax.io.logs.rtabmap_movement import movement_notes, read_calibrations
 from ebjax.io.logs.rtabmap_nodes import (
     INVALID,
@@ -35,10 +36,10 @@ from ebjax.io.logs.rtabmap_nodes import (
 __all__ = ["node_of", "open_rtabmap"]
 
 MISSING = {
-    "camera": "The database holds no valid camera: give a calibration file of the camera.",
-    "mount": "The database holds no local transform: give base_from_camera, where the camera sits on the robot.",
-    "odometry": "No node has an odometry pose: give a trajectory file with base_link's poses at the images' stamps.",
-    "depth": "The database holds no depth images: go without depth, or record with a depth camera.",
+    "camera": "the database holds no valid camera: give --camera FILE, any calibration of this camera",
+    "mount": f"the database holds no local transform: {MOUNT}",
+    "odometry": "no node has an odometry pose: the run is measured by the floor, --motion floor",
+    "depth": "the database holds no depth images: the floor is metric without depth",
 }
 
 
@@ -151,9 +152,11 @@ def open_rtabmap(
 def _images(path: Path, column: Literal["image", "depth"], nodes: Sequence[Node], strip: Strip) -> Images:
     ids = tuple(node.id for node in nodes)
     read = partial(read_colour if column == "image" else read_depth, path, strip=strip)
+    whole = column == "image" and strip.count == 1
     return Images(
         source=f"{path}, Data.{column}",
         names=tuple(map(name_of, ids)),
         timestamps=np.array([node.stamp for node in nodes]),
         decode=lambda index: read(ids[index]),
+        stored=(lambda index: stored_colour(path, ids[index])) if whole else None,
     )

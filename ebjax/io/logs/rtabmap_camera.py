@@ -82,7 +82,7 @@ def calibration_from_camera(
     if images == "rectified" and camera.looks_raw:
         notes = [
             f"{path}: its lens bends (D is not 0) but P is K and R the identity: the stored images are probably not "
-            'rectified. They are used as rectified, as RTAB-Map does; images="raw" uses K and D'
+            "rectified. They are used as rectified, as RTAB-Map does; --images raw uses K and D"
         ]
     if camera.base_from_camera is not None and camera.base_from_camera[2, 3] <= LEAST_HEIGHT_M:
         height = f"{camera.base_from_camera[2, 3]:.2f} m over base_link"

@@ -66,6 +66,15 @@ def _column(path: Path, column: str, node: int) -> bytes:
     return row[0]
 
 
+def stored_colour(path: Path, node: int) -> bytes:
+    """A node's image as it is stored: a JPEG or PNG file's content.
+
+    Raises:
+      BrokenFrame: missing; names file and node.
+    """
+    return _column(path, "image", node)
+
+
 def read_colour(path: Path, node: int, strip: Strip) -> UInt8[np.ndarray, "H W 3"]:
     """Reads a node's image as RGB, 0-255; grey images get three equal channels.
 

@@ -184,7 +184,7 @@ def test_odometry_comes_from_tf_where_no_topic_has_it(tmp_path):
     log = open_bag(written(tmp_path, "ros1", fill))
     np.testing.assert_allclose(log.odometry.poses[:, 0, 3], np.arange(5))
     assert said(log, "odometry from tf, odom to base_footprint, 5 poses") and "odometry" not in log.missing
-    assert said(log, "T_base_camera", "0.6") and set(log.missing) == {"camera", "depth"}
+    assert log.base_from_camera[2, 3] == pytest.approx(0.6) and set(log.missing) == {"camera", "depth"}
 
 
 def test_bags_without_images(tmp_path):
