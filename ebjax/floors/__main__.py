@@ -1,11 +1,11 @@
-"""Renders synthetic floors: a robot's run through corridors in TUM layout, or a contact sheet of all floors."""
+"""Renders synthetic floors: a robot's run in TUM layout and as a ROS bag, or a contact sheet of all floors."""
 
 import dataclasses
 import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -14,9 +14,11 @@ from jaxtyping import Float
 from ebjax.command import dump_config, progress, run
 from ebjax.config import load_config
 from ebjax.floors.sensor import GAMMA
-from ebjax.floors.sequence import CorridorConfig, record
+from ebjax.floors.sequence import CorridorConfig, Recording, record
+from ebjax.io.calibration.read import read_calibration
 from ebjax.io.camera_file import CameraFile
 from ebjax.io.images import read_image
+from ebjax.io.write_bag import BagKind, require_rosbags, write_bag
 from ebjax.io.write_sequence import write_sequence
 
 TILE_PX = 512
@@ -29,6 +31,8 @@ class Config(CorridorConfig):
 
     out: Path = Path("runs/corridor_world")
     """Folder of the sequence."""
+    format: Literal["tum", "bag", "mcap"] = "tum"
+    """tum writes a folder in TUM layout; bag adds run.bag (ROS 1) in it, mcap adds run.mcap (ROS 2)."""
 
 
 def photographs(path: Path) -> Float[np.ndarray, "N n n 3"]:
@@ -50,47 +54,76 @@ def photographs(path: Path) -> Float[np.ndarray, "N n n 3"]:
     return np.stack(squares)
 
 
-def render_sequence(config: CorridorConfig, out: str | Path) -> None:
+def render_sequence(config: CorridorConfig, out: str | Path, bag: BagKind | None = None) -> None:
     """Writes the run that `config` describes in TUM layout, whole or not at all; the same seed gives the same files.
 
-    A folder that holds this very run already is left as it is.
+    A folder that holds this very run already is left as it is; a bag that it lacks is added.
+
+    Args:
+      config: the world, the robot and its camera.
+      out: the folder.
+      bag: which ROS bag is to be in it too.
 
     Raises:
-      ValueError: a value that no corridor can have; names the key. A folder that holds another run.
+      ValueError: a value that no corridor can have; names the key. A folder that holds another run. No rosbags.
       OSError: the folder cannot be written.
     """
     out = Path(out)
+    if bag is not None:
+        require_rosbags()
     config = CorridorConfig(**{f.name: getattr(config, f.name) for f in dataclasses.fields(CorridorConfig)})
     if (out / "rgb.txt").exists():
-        if (out / "world.yaml").is_file() and load_config(out / "world.yaml", CorridorConfig) == config:
-            return
-        raise ValueError(f"{out}: holds another run, or one without its world.yaml; remove it or name another folder")
+        if not ((out / "world.yaml").is_file() and load_config(out / "world.yaml", CorridorConfig) == config):
+            raise ValueError(
+                f"{out}: holds another run, or one without its world.yaml; remove it or name another folder"
+            )
+        if bag is not None and not (out / f"run.{bag}").exists():
+            write_bag(out / f"run.{bag}", out, bag)
+        return
     texture = None if config.floor.texture is None else photographs(config.floor.texture)
-    recording = record(config, texture)
-    camera = CameraFile(
-        intrinsics=np.asarray(recording.camera.intrinsics, np.float64).round(6),
-        base_from_camera=np.asarray(recording.camera.base_from_camera, np.float64).round(7),
-        width=recording.camera.width,
-        height=recording.camera.height,
-        depth_scale=1000.0,
-    )
+    calibration = None if config.camera.file is None else read_calibration(config.camera.file)
+    for note in () if calibration is None else calibration.notes:
+        print(note)
+    recording = record(config, texture, calibration)
+
+    def finish(folder: Path) -> None:
+        dump_config(config, folder / "world.yaml")
+        if bag is not None:
+            write_bag(folder / f"run.{bag}", folder, bag)
+
     write_sequence(
         out,
         recording.timestamps,
         recording.odom_from_base,
         recording.world_from_base,
-        camera,
+        camera_file(recording),
         recording.frame,
         threads=min(8, os.cpu_count() or 1),
         progress=lambda frames, total: progress(frames, total, "rendering"),
+        finish=finish,
     )
-    dump_config(config, out / "world.yaml")
+
+
+def camera_file(recording: Recording) -> CameraFile:
+    """What camera.json says: the camera that rendered, without the digits that float32 adds."""
+    camera = recording.camera
+    return CameraFile(
+        intrinsics=np.asarray(camera.intrinsics, np.float64).round(6),
+        base_from_camera=np.asarray(camera.base_from_camera, np.float64).round(7),
+        width=camera.width,
+        height=camera.height,
+        depth_scale=1000.0,
+        distortion_model=camera.lens.model,
+        distortion=tuple(np.asarray(camera.lens.coefficients, np.float64).round(7).tolist()),
+    )
 
 
 def main(config: Config) -> None:
     """Renders and says what was written."""
-    render_sequence(config, config.out)
-    print(f"{config.out}: rgb.txt, depth.txt, odometry.txt, groundtruth.txt, camera.json, world.yaml")
+    bag: BagKind | None = None if config.format == "tum" else config.format
+    render_sequence(config, config.out, bag)
+    more = "" if bag is None else f", run.{bag}"
+    print(f"{config.out}: rgb.txt, depth.txt, odometry.txt, groundtruth.txt, camera.json, world.yaml{more}")
 
 
 @dataclasses.dataclass(frozen=True)

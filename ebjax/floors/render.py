@@ -1,4 +1,4 @@
-"""Casts one ray a pixel on a plan's planes, boxes and posts: linear radiance and depth of what a pinhole camera sees.
+"""Casts one ray a pixel on a plan's planes, boxes and posts: linear radiance and depth of what a camera sees.
 
 Texture is filtered by footprint, the edges of doors and skirting by box coverage: one ray a pixel does not alias.
 Differentiable in the camera, the pose, the light and the floor's texels; `vmap` over poses renders a batch.
@@ -15,6 +15,7 @@ from ebjax.floors import atlas
 from ebjax.floors.lattice import entry
 from ebjax.floors.obstacles import Boxes, Posts, see_boxes, see_posts, shade_by_boxes, shade_by_posts
 from ebjax.floors.ramp import Ramp, see_level
+from ebjax.floors.rays import Rays, bent_rays
 from ebjax.floors.scene import CEILING_M, LAMP_SPACING_M, Scene, ceiling, covered, lamps, nearest_wall, wall_colour
 from ebjax.geometry.camera import Camera
 
@@ -22,6 +23,7 @@ LAMP_RADIANCE = 3.0
 DAYLIGHT_M = 60.0
 SUN_SPACING_M, SUN_WIDTH_M, SUN_SLANT = 3.1, 0.9, 0.6
 Component = Float[Array, "H W"]
+Step = list[Component] | Float[Array, "3 *rows"]
 Things = typing.TypeVar("Things", Boxes, Posts)
 
 
@@ -57,7 +59,7 @@ class Passers:
 
 
 def _footprint(
-    t: Component, ray: list[Component], steps: list[Float[Array, "3 *rows"]], normal: list, normal_ray: Component
+    t: Component, ray: list[Component], steps: list[Step], normal: list, normal_ray: Component
 ) -> list[list[Component]]:
     """d(hit)/d(pixel u, v) along the world axes, m: t (step - ray (n . step) / (n . ray))."""
     slants = [sum(n * s for n, s in zip(normal, step, strict=True)) / normal_ray for step in steps]
@@ -65,7 +67,7 @@ def _footprint(
 
 
 def _walls(
-    scene: Scene, ray: list[Component], steps: list[Float[Array, "3 *rows"]], origin: Float[Array, "3 *rows"]
+    scene: Scene, ray: list[Component], steps: list[Step], origin: Float[Array, "3 *rows"]
 ) -> tuple[Float[Array, "H W 3"], Component]:
     """Reflectance of the nearest wall along every ray, and its depth."""
     hit = nearest_wall(scene.walls, ray, origin)
@@ -94,6 +96,20 @@ def _by_row(vector: Float[Array, "*H 3"]) -> Float[Array, "3 *rows"]:
     return vector if vector.ndim == 1 else vector.T[..., None]
 
 
+def _pinhole_rays(camera: Camera, rotation: Float[Array, "*H 3 3"]) -> tuple[list[Component], list[Step]]:
+    """Rays of depth 1 in the world, and how they change with the pixel's u and v."""
+    inverse = jnp.linalg.inv(camera.intrinsics)
+    u, v = jnp.meshgrid(*(jnp.arange(side, dtype=rotation.dtype) for side in (camera.width, camera.height)))
+    by_u, by_v, first = (_by_row(rotation @ inverse[:, k]) for k in range(3))
+    return [u * by_u[i] + v * by_v[i] + first[i] for i in range(3)], [by_u, by_v]
+
+
+def _turned(rotation: Float[Array, "*H 3 3"], vectors: Float[Array, "3 H W"]) -> list[Component]:
+    """Vectors of the camera's frame in the world."""
+    columns = [_by_row(rotation[..., k]) for k in range(3)]
+    return [sum((vectors[k] * columns[k][i] for k in (1, 2)), vectors[0] * columns[0][i]) for i in range(3)]
+
+
 def _raised(things: Things, ramp: Ramp | None) -> Things:
     """Boxes or posts whose heights are above the floor, in the world."""
     if ramp is None:
@@ -115,9 +131,16 @@ def _sun(along: Component, across: Component, footprint: Component, light: Light
 
 
 def render(
-    scene: Scene, camera: Camera, world_from_base: Float[Array, "*H 4 4"], light: Light, passers: Passers
+    scene: Scene,
+    camera: Camera,
+    world_from_base: Float[Array, "*H 4 4"],
+    light: Light,
+    passers: Passers,
+    rays: Rays | None = None,
 ) -> tuple[Float[Array, "H W 3"], Float[Array, "H W"]]:
-    """Radiance of every pixel and the depth of what it sees, world point = t + depth R K^-1 (x, y, 1).
+    """Radiance of every raw pixel and the depth of what it sees, world point = t + depth R K^-1 (x, y, 1).
+
+    (x, y) are the ideal pixel's: behind a lens `ideal_from_raw` leads to them.
 
     Args:
       scene: walls, doors, floor, furniture.
@@ -125,15 +148,21 @@ def render(
       world_from_base: the robot, or where it is at each row of the image; its camera must lie within the walls.
       light: of this traverse.
       passers: people and carts, where they are now; heights are above the floor.
+      rays: `bent_rays` of the camera, which many frames share; a pinhole needs none.
 
     Returns:
-      Linear RGB, and the distance along the optical axis in metres (infinite where no surface is hit).
+      Linear RGB, and the distance along the optical axis in metres: infinite where no surface is hit, 0 where the lens
+      shows nothing, which is black, or looks 87 degrees and more aside.
     """
     pose = world_from_base @ camera.base_from_camera
-    rotation, origin, inverse = pose[..., :3, :3], _by_row(pose[..., :3, 3]), jnp.linalg.inv(camera.intrinsics)
-    u, v = jnp.meshgrid(jnp.arange(camera.width, dtype=pose.dtype), jnp.arange(camera.height, dtype=pose.dtype))
-    *steps, first = (_by_row(rotation @ inverse[:, k]) for k in range(3))
-    ray = [u * steps[0][i] + v * steps[1][i] + first[i] for i in range(3)]
+    rotation, origin = pose[..., :3, :3], _by_row(pose[..., :3, 3])
+    steps: list[Step]
+    if rays is None and camera.lens.model != "pinhole":
+        rays = bent_rays(camera)
+    if rays is None:
+        ray, steps = _pinhole_rays(camera, rotation)
+    else:
+        ray, steps = _turned(rotation, rays.directions), [_turned(rotation, step) for step in rays.steps]
 
     t_level, down, rise, normal = see_level(scene.ramp, ray, origin, CEILING_M)
     plaster, t_wall = _walls(scene, ray, steps, origin)
@@ -172,4 +201,6 @@ def render(
     for boxes in (scene.furniture, passers.boxes):
         depth, colour = see_boxes(_raised(boxes, scene.ramp), ray, origin, depth, colour)
     depth, colour = see_posts(_raised(passers.posts, scene.ramp), ray, origin, depth, colour)
+    if rays is not None:
+        depth, colour = jnp.where(rays.ahead, depth, 0.0), jnp.where(rays.shown[..., None], colour, 0.0)
     return colour * light.level[None, None, :], depth

@@ -35,6 +35,7 @@ WHEELS = {
     "mobilesim": Wheels(translation_range=0.0075, rotation_range=0.0075),
     "stage": Wheels(translation_range=0.03, rotation_range=0.05),
 }
+MOST_NOD_DEG = 15.0
 WheelsName = Literal["drifting", "d5", "mobilesim", "stage"]
 
 
@@ -71,6 +72,11 @@ class RobotConfig:
     0.0075 m/m and rad/rad, its model of the Pioneers), stage (within 0.03 m/m and 0.05 rad/rad, Stage's defaults)."""
     drift: float = 1.0
     """Factor of all those errors; 0 counts the truth."""
+    nod_deg: float = 0.0
+    """The body pitches and rolls by sines of 0.37 and 0.73 Hz, rms nod_deg / sqrt(2), at most 1.4 nod_deg, degrees; the
+    ground truth stays that of the wheels."""
+    odometry_tilt: bool = False
+    """Odometry has the body's true pitch and roll, as with the help of an IMU."""
 
 
 def check(config: RobotConfig) -> None:
@@ -81,6 +87,8 @@ def check(config: RobotConfig) -> None:
     for name in ("weave_m", "stops", "drift"):
         if not getattr(config, name) >= 0:
             raise ValueError(f"robot.{name} is {getattr(config, name)}: needs a value of 0 or more")
+    if not 0 <= config.nod_deg <= MOST_NOD_DEG:
+        raise ValueError(f"robot.nod_deg is {config.nod_deg}: needs a value from 0 to {MOST_NOD_DEG:g}")
     route(config)
 
 

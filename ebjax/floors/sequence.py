@@ -14,11 +14,13 @@ import numpy as np
 from jaxtyping import Array, Float, Key, UInt8, UInt16
 
 from ebjax.floors import atlas, cameras, passers, robot, sensor, surface
-from ebjax.floors.cameras import CameraConfig, carried, make_camera
+from ebjax.floors.cameras import CalibrationValues, CameraConfig, make_camera
 from ebjax.floors.furniture import furnish
+from ebjax.floors.nod import make_nod, nodded, with_tilt_of
 from ebjax.floors.passers import PassersConfig
 from ebjax.floors.plan import Plan, PlanConfig, make_plan, polyline
 from ebjax.floors.ramp import make_ramp, stand
+from ebjax.floors.rays import Rays, bent_rays
 from ebjax.floors.render import Light, Passers, render
 from ebjax.floors.robot import RobotConfig
 from ebjax.floors.scene import CEILING_M, Scene, make_scene
@@ -53,10 +55,16 @@ class CorridorConfig:
     sensor: SensorConfig = dataclasses.field(default_factory=SensorConfig)
 
 
-def check(config: CorridorConfig) -> None:
-    """Raises ValueError that names the key which no world can have, and what it needs."""
-    for room, part in ((surface, config.floor), (robot, config.robot), (cameras, config.camera)):
-        room.check(part)  # type: ignore[attr-defined]
+def check(config: CorridorConfig, calibration: CalibrationValues | None = None) -> None:
+    """Raises ValueError that names the key which no world can have, and what it needs.
+
+    Args:
+      config: the world, the robot and its camera.
+      calibration: what is in `camera.file`; None where that is not read yet.
+    """
+    surface.check(config.floor)
+    robot.check(config.robot)
+    cameras.check(config.camera, calibration)
     passers.check(config.passers)
     sensor.check(config.sensor)
     for name in ("width_m", "margin_m", "door_spacing_m"):
@@ -69,7 +77,7 @@ def check(config: CorridorConfig) -> None:
     for name in ("sun", "landmarks_per_m"):
         if not getattr(config, name) >= 0:
             raise ValueError(f"{name} is {getattr(config, name)}: needs a value of 0 or more")
-    x_m = carried(config.camera).x_m
+    x_m = cameras.position(config.camera, calibration)[0]
     if config.plan.margin_m <= x_m:
         raise ValueError(f"plan.margin_m is {config.plan.margin_m}: the camera, {x_m} m ahead, would be in the wall")
     needed = 2 * (abs(config.robot.lateral_offset_m) + config.robot.weave_m + 0.1)
@@ -97,7 +105,8 @@ class Recording:
     Attributes:
       timestamps: s.
       world_from_base: the truth; tilted and raised on a ramp.
-      odom_from_base: what the wheels counted; starts at the identity.
+      world_from_body: the truth of the body that carries the camera; other than the base's if it nods.
+      odom_from_base: what the wheels counted; starts at the identity, but for tilt.
       camera: float32.
       frame: index -> (RGB, depth in mm with 0 = missing); safe to call from several threads.
       scene: the world that is seen.
@@ -105,6 +114,7 @@ class Recording:
 
     timestamps: Float[np.ndarray, " N"]
     world_from_base: Float[np.ndarray, "N 4 4"]
+    world_from_body: Float[np.ndarray, "N 4 4"]
     odom_from_base: Float[np.ndarray, "N 4 4"]
     camera: Camera
     frame: Callable[[int], Frame]
@@ -139,10 +149,15 @@ _see = jax.jit(render)
 
 @jax.jit
 def _see_blurred(
-    scene: Scene, camera: Camera, world_from_base: Float[Array, "K *H 4 4"], light: Light, passing: Passers
+    scene: Scene,
+    camera: Camera,
+    world_from_base: Float[Array, "K *H 4 4"],
+    light: Light,
+    passing: Passers,
+    rays: Rays | None,
 ) -> tuple[Float[Array, "H W 3"], Float[Array, "H W"]]:
     """Mean radiance over the poses of an open shutter; the depth is that of the middle one."""
-    radiance, depth_m = jax.lax.map(lambda pose: render(scene, camera, pose, light, passing), world_from_base)
+    radiance, depth_m = jax.lax.map(lambda pose: render(scene, camera, pose, light, passing, rays), world_from_base)
     return radiance.mean(axis=0), depth_m[len(world_from_base) // 2]
 
 
@@ -161,66 +176,93 @@ def _expose(
     return image, sensor.depth_image(depth_m, config, key=depth_key)
 
 
+def moment_times(height: int, config: CorridorConfig) -> Float[np.ndarray, "*s"]:
+    """When a frame is seen: one a moment of an open shutter, one a row of a rolling one; s from its middle."""
+    times = np.zeros(())
+    if config.sensor.shutter_s > 0:
+        times = config.sensor.shutter_s * np.linspace(-0.5, 0.5, SHUTTER_TAPS)
+    if config.sensor.readout_s > 0:
+        times = times[..., None] + config.sensor.readout_s * np.linspace(-0.5, 0.5, height)
+    return times
+
+
 def moments(poses: Float[np.ndarray, "N 3"], i: int, height: int, config: CorridorConfig) -> Float[np.ndarray, "*s 3"]:
-    """Poses from which frame i is seen: one a moment of an open shutter, one a row of a rolling one.
+    """Poses from which frame i is seen, at its `moment_times`.
 
     They lie on the straight line of the velocity between the frames before and after.
     """
-    times = np.zeros(())
-    if config.sensor.shutter_s > 0:
-        times = config.sensor.shutter_s / config.robot.frame_s * np.linspace(-0.5, 0.5, SHUTTER_TAPS)
-    if config.sensor.readout_s > 0:
-        rows = config.sensor.readout_s / config.robot.frame_s * np.linspace(-0.5, 0.5, height)
-        times = times[..., None] + rows
+    times = moment_times(height, config) / config.robot.frame_s
     velocity = (poses[min(i + 1, len(poses) - 1)] - poses[max(i - 1, 0)]) / 2
     return poses[i] + times[..., None] * velocity
 
 
-def check_inside(config: CorridorConfig, plan: Plan, poses: Float[np.ndarray, "N 3"]) -> None:
-    """Raises ValueError where robot or camera would be outside the corridors, or the camera in the ramp's floor."""
-    x_m = carried(config.camera).x_m
-    points = poses[:, :2] + x_m * np.stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])], axis=1)
+def check_inside(
+    config: CorridorConfig,
+    plan: Plan,
+    poses: Float[np.ndarray, "N 3"],
+    calibration: CalibrationValues | None = None,
+) -> None:
+    """Raises ValueError where robot or camera would be outside the corridors, or the camera in the floor."""
+    at = cameras.position(config.camera, calibration)
+    level = (stand(poses, None) @ np.append(at, 1.0))[:, :2]
     # Within the robot's half width of a wall at its wheels; the camera may come closer in a turn.
-    kept = plan.inside(poses[:, :2], 0.2).any(axis=0) & plan.inside(points, 0.05).any(axis=0)
+    kept = plan.inside(poses[:, :2], 0.2).any(axis=0) & plan.inside(level, 0.05).any(axis=0)
     if not kept.all():
         x, y = poses[np.argmin(kept), :2]
         raise ValueError(
             f"robot.route is {config.robot.route!r}: leaves the corridors at ({x:.1f}, {y:.1f}); "
             "correct it, plan.corridors or robot.lateral_offset_m"
         )
-    ramp = make_ramp(config.plan)
-    if ramp is not None:
-        x, y, z, _ = np.moveaxis(stand(poses, ramp) @ np.array([x_m, 0.0, carried(config.camera).height_m, 1.0]), -1, 0)
-        above = z - ramp.height(x, y)
-        if not (above.min() > 0.01 and above.max() < CEILING_M - 0.01):
-            raise ValueError(
-                f"plan.ramp_deg is {config.plan.ramp_deg}: the camera is {above.min():.2f} to {above.max():.2f} m "
-                f"above the floor, needs 0.01 to {CEILING_M - 0.01:.2f}; correct it or camera.height_m"
-            )
+    ramp, nod = make_ramp(config.plan), make_nod(config.robot.nod_deg, config.seed)
+    if ramp is None and nod is None:
+        return
+    body = nodded(stand(poses, ramp), nod, config.robot.frame_s * np.arange(len(poses)))
+    x, y, z, _ = np.moveaxis(body @ np.append(at, 1.0), -1, 0)
+    what = f"plan.ramp_deg is {config.plan.ramp_deg}" if nod is None else f"robot.nod_deg is {config.robot.nod_deg}"
+    above = z if ramp is None else z - ramp.height(x, y)
+    if not (above.min() > 0.01 and above.max() < CEILING_M - 0.01):
+        raise ValueError(
+            f"{what}: the camera is {above.min():.2f} to {above.max():.2f} m above the floor, needs 0.01 to "
+            f"{CEILING_M - 0.01:.2f}; correct it or camera.height_m"
+        )
+    if nod is not None and not plan.inside(np.stack([x, y], axis=1), 0.05).any(axis=0).all():
+        raise ValueError(f"{what}: the camera nods into a wall; lower it, or widen plan.width_m")
 
 
-def record(config: CorridorConfig, photographs: Float[np.ndarray, "N n n 3"] | None = None) -> Recording:
+def record(
+    config: CorridorConfig,
+    photographs: Float[np.ndarray, "N n n 3"] | None = None,
+    calibration: CalibrationValues | None = None,
+) -> Recording:
     """Lays the floor, drives the route and compiles the camera: some seconds, more for long corridors.
 
     Args:
       config: the world, the robot and its camera.
       photographs: linear reflectance, what the floor family "photograph" lays.
+      calibration: what is in `camera.file`.
 
     Raises:
       ValueError: a value that no corridor, robot or camera can have; names the key.
     """
-    check(config)
+    if config.camera.file is not None and calibration is None:
+        raise ValueError(f"camera.file is {config.camera.file}: read it with read_calibration and pass what it says")
+    check(config, calibration)
     floor_key, image_key = jax.random.split(jax.random.key(config.seed))
     rng = np.random.default_rng(config.seed)
     poses, passes = robot.drive(config.robot, rng)
     plan = plan_of(config)
-    check_inside(config, plan, poses)
-    ramp = make_ramp(config.plan)
+    check_inside(config, plan, poses, calibration)
+    ramp, nod = make_ramp(config.plan), make_nod(config.robot.nod_deg, config.seed)
     heights = None if ramp is None else ramp.height(poses[:, 0], poses[:, 1])
     odometry = robot.wheel_odometry(poses, config.robot, rng, heights)
     exposure = np.exp(rng.normal(0.0, 0.03, len(poses))).astype(np.float32)
-    world_from_base = stand(poses, ramp)
-    camera, of_pass = make_camera(config.camera), lights(config, rng)
+    times_s = config.robot.frame_s * np.arange(len(poses))
+    world_from_base, odom_from_base = stand(poses, ramp), stand(odometry, None)
+    world_from_body = nodded(world_from_base, nod, times_s)
+    if config.robot.odometry_tilt:
+        odom_from_base = with_tilt_of(odom_from_base, world_from_body)
+    camera, of_pass = make_camera(config.camera, calibration), lights(config, rng)
+    rays = None if camera.lens.model == "pinhole" else bent_rays(camera)
     furniture, paints = furnish(plan, config.landmarks_per_m, rng)
     walks = passers.plan_walks(poses, config.robot.frame_s, config.plan.width_m / 2, config.passers, rng)
     floor = atlas.floor_of(plan, config.floor, key=floor_key, photographs=photographs)
@@ -230,13 +272,14 @@ def record(config: CorridorConfig, photographs: Float[np.ndarray, "N n n 3"] | N
         light = jax.tree.map(lambda leaf: leaf[int(passes[i])], of_pass)
         passing = passers.at_frame(walks, poses, i)
         see = _see_blurred if config.sensor.shutter_s > 0 else _see
-        seen_from = jnp.asarray(stand(moments(poses, i, camera.height, config), ramp), jnp.float32)
-        radiance, depth_m = see(scene, camera, seen_from, light, passing)
+        seen_from = stand(moments(poses, i, camera.height, config), ramp)
+        seen_from = nodded(seen_from, nod, np.asarray(times_s[i] + moment_times(camera.height, config)))
+        radiance, depth_m = see(scene, camera, jnp.asarray(seen_from, jnp.float32), light, passing, rays)
         key = jax.random.fold_in(image_key, i)
         image, depth = _expose(radiance, depth_m, jnp.asarray(exposure[i]), camera, config.sensor, key=key)
         return np.asarray(image), np.asarray(depth)
 
     # Compiled here, once, so that threads need not race to do it.
     frame(0)
-    timestamps = 1000.0 + config.robot.frame_s * np.arange(len(poses))
-    return Recording(timestamps, world_from_base, stand(odometry, None), camera, frame, scene)
+    poses_of = world_from_base, world_from_body, odom_from_base
+    return Recording(1000.0 + times_s, *poses_of, camera, frame, scene)

@@ -26,6 +26,7 @@ def write_sequence(
     quality: int = 95,
     threads: int = 2,
     progress: Callable[[Iterable[None], int], Iterable[None]] = lambda items, total: items,
+    finish: Callable[[Path], None] = lambda folder: None,
 ) -> None:
     """Asks for the frames in parallel and writes them as they come.
 
@@ -39,6 +40,7 @@ def write_sequence(
       quality: of the JPEGs, 1 to 100.
       threads: frames made at a time.
       progress: wraps the frames as they are finished (iterable, total).
+      finish: adds to the folder, before it appears under its name, what else belongs to the run.
     """
     names = [f"{t:.6f}" for t in timestamps]
     with whole_folder(out) as folder:
@@ -63,6 +65,7 @@ def write_sequence(
         write_tum(folder / "odometry.txt", timestamps, odom_from_base)
         write_tum(folder / "groundtruth.txt", timestamps, world_from_base)
         write_camera(folder / "camera.json", camera)
+        finish(folder)
 
 
 def _encode(path: Path, image: np.ndarray, options: list[int]) -> None:
