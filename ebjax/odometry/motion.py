@@ -24,6 +24,7 @@ from ebjax.odometry.fuse import Jump, fuse
 from ebjax.odometry.ground import bends, ground_warnings
 from ebjax.odometry.height import Reach
 from ebjax.odometry.mount import FEWEST, Tilt, refine_tilt
+from ebjax.odometry.nods import REST_DEG, levelled_matches, nods, within
 from ebjax.odometry.self_check import height_off, mount_warnings, moved_camera, offset_of, reach_of, systematic_of
 from ebjax.odometry.steps import Steps, joined
 from ebjax.odometry.wheels import Systematic, WheelErrors
@@ -75,6 +76,10 @@ class Motion:
     warnings: tuple[str, ...]
     pairs: FloorPairs
     bridged: Steps
+
+
+NEAR = 3.0
+"""Tolerances within which matches count for what is left of a robot's lean."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -164,6 +169,43 @@ def motion_with_closures(
         return dataclasses.replace(motion, tilt=tilt)
     concluded = conclude(keyframes, motion.pairs, camera, tilt, config, motion.bridged)
     return dataclasses.replace(concluded, reach=motion.reach)
+
+
+def motion_of_nodding(
+    motion: Motion,
+    keyframes: Keyframes,
+    closures: PairMatches,
+    believed: Bool[np.ndarray, " K"],
+    i: Int[np.ndarray, " K"],
+    j: Int[np.ndarray, " K"],
+    config: MotionConfig,
+) -> tuple[Motion, PairMatches]:
+    """The motion, and the closures' matches, with what is left of every keyframe's lean put right.
+
+    Steps hardly tell a slow lean from a scale; views from opposite sides do.
+
+    Args:
+      motion: of keyframes that were looked at as the robot leans.
+      keyframes: see there.
+      closures: matches of candidates.
+      believed: which of them count.
+      i: rows of their later keyframes.
+      j: rows of their earlier ones.
+      config: see there.
+    """
+    pairs = motion.pairs
+    both = jax.tree.map(lambda a, b: np.concatenate([a, b]), pairs.matches, closures)
+    used = np.concatenate([pairs.believed, believed])
+    rows = np.concatenate([pairs.i, i]), np.concatenate([pairs.j, j])
+    some = jax.tree.map(lambda leaf: leaf[used], both)
+    some = dataclasses.replace(some, matched=within(some, motion.camera, NEAR * config.tolerance_m))
+    ends = rows[0][used], rows[1][used]
+    found = nods(some, *ends, len(motion.frames), motion.camera, times=keyframes.times, prior_deg=REST_DEG)
+    level = levelled_matches(pairs.matches, pairs.i, pairs.j, found, motion.camera)
+    pairs = dataclasses.replace(pairs, matches=level)
+    concluded = conclude(keyframes, pairs, motion.camera, motion.tilt, config, motion.bridged)
+    concluded = dataclasses.replace(concluded, reach=motion.reach)
+    return concluded, levelled_matches(closures, i, j, found, motion.camera)
 
 
 def conclude(

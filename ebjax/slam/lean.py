@@ -1,22 +1,31 @@
-"""Whether the roll and pitch that odometry reports are the robot's own: floor views tell, which agree better with them.
+"""How a robot leans as it drives, by its odometry or by the floor views, and whether the views agree with it.
 
 Odometry from wheels and an IMU knows how the robot nods; visual odometry that drifts in tilt does not.
 """
 
 import dataclasses
+from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ebjax.features.extractor import Extractor
 from ebjax.features.landmarks import take
 from ebjax.features.verify_pairs import verify_blocks
 from ebjax.geometry.camera import Camera
+from ebjax.geometry.planar import between
+from ebjax.odometry.nods import bent_pairs, nods
 from ebjax.places.descriptor import Descriptor
+from ebjax.slam.describe import Described
 from ebjax.slam.keyframes import Load, describe_keyframes
 from ebjax.views.run_view import RunView
 
 PAIRS = 12
+GAPS = (1, 2, 4)
+WHEELS, WHEELS_M = 0.02, 0.003
+"""How wheels may err: a share of the way and of the turn, and m."""
+LEAST_DEG, KNOWN_DEG = 0.15, 0.5
+"""A smaller lean is none; one that is not known so well is left out."""
 TOLERANCE_M = 0.01
 
 
@@ -26,11 +35,13 @@ class Lean:
 
     Attributes:
       level_from_base: at every frame.
+      by: what says so.
       rms_deg: of roll and pitch.
       agree: matches of successive floor views that agree to 1 cm, with it and without.
     """
 
     level_from_base: Float[np.ndarray, "F 4 4"]
+    by: Literal["odometry", "floor"]
     rms_deg: float
     agree: tuple[int, int]
 
@@ -42,13 +53,47 @@ class Lean:
     def says(self) -> str:
         """In one line."""
         used = "looked at accordingly" if self.used else "not used, as floor views agree worse with it"
+        what = "odometry's roll and pitch" if self.by == "odometry" else "the robot nods, as the floor views show"
         return (
-            f"odometry's roll and pitch, {self.rms_deg:.2f} degrees rms: {used} "
+            f"{what}, {self.rms_deg:.2f} degrees rms: {used} "
             f"({self.agree[0]} matches agree with it, {self.agree[1]} without)"
         )
 
 
+@dataclasses.dataclass(frozen=True)
+class Look:
+    """Keyframes as they were looked at: their numbers, descriptions, and the camera and view that were believed."""
+
+    keyframes: Int[np.ndarray, " N"]
+    described: Described
+    camera: Camera
+    view: RunView
+
+
+def shown_by_the_floor(
+    seen: Look, timestamps: Float[np.ndarray, " F"], wheels: Float[np.ndarray, "F 3"] | None, seed: int
+) -> Float[np.ndarray, "F 4 4"] | None:
+    """How the robot leans at every frame, solved from successive floor views; None where that is next to nothing."""
+    frames, count = seen.keyframes, len(seen.keyframes)
+    gaps = [gap for gap in GAPS if gap < count]
+    i = np.concatenate([np.arange(gap, count) for gap in gaps])
+    j = np.concatenate([np.arange(count - gap) for gap in gaps])
+    matches = bent_pairs(seen.described.landmarks, seen.view, seen.camera, i, j, seed)
+    counted = None
+    if wheels is not None:
+        steps = between(wheels[frames[i]], wheels[frames[j]])
+        far = np.hypot(steps[:, 0], steps[:, 1])[:, None]
+        counted = steps, WHEELS * far + WHEELS_M + np.array([[0.0, 0.0, WHEELS]]) * np.abs(steps[:, 2:])
+    found = nods(matches, i, j, count, seen.camera, times=timestamps[frames], wheels=counted)
+    known = found.sigma.max(1) < np.radians(KNOWN_DEG)
+    lean = np.where(known[:, None], found.lean, 0.0)
+    if not known.any() or np.degrees(np.sqrt((lean[known] ** 2).sum(1).mean())) < LEAST_DEG:
+        return None
+    return dataclasses.replace(found, lean=lean).level_from_base(frames, len(timestamps))
+
+
 def leaning(
+    by: Literal["odometry", "floor"],
     load: Load,
     frames: list[int],
     level_from_base: Float[np.ndarray, "F 4 4"],
@@ -60,7 +105,8 @@ def leaning(
 ) -> Lean:
     """Compares the pairs of successive frames between which the robot's lean changes most, with it and without."""
     lean = np.degrees(np.arcsin(np.clip(level_from_base[:, 2, :2], -1, 1)))
-    change = np.linalg.norm(np.diff(lean[frames], axis=0), axis=1)
+    seen = lean[frames]
+    change = np.linalg.norm(np.diff(seen, axis=0), axis=1)
     firsts = np.sort(np.argsort(-change, kind="stable")[:PAIRS])
     chosen = sorted({frames[k + side] for k in firsts.tolist() for side in (0, 1)})
     agree = []
@@ -83,4 +129,4 @@ def leaning(
             seed=seed,
         )
         agree.append(int(found[0].inliers.sum()))
-    return Lean(level_from_base, float(np.sqrt((lean**2).sum(1).mean())), (agree[0], agree[1]))
+    return Lean(level_from_base, by, float(np.sqrt((seen**2).sum(1).mean())), (agree[0], agree[1]))

@@ -225,7 +225,7 @@ def run(
         covariance = np.where(by_depth[:, None, None], depth.covariance, floor.covariance).astype(np.float64)
     else:
         agree = (inliers >= config.select.min_inliers) & (inliers >= config.select.min_inlier_ratio * total)
-        found = found.with_closures(matches, agree, motion_config(config, recording))
+        found, matches = found.with_closures(matches, agree, i, j, motion_config(config, recording))
         described, path = found.described, found.path
         assert found.motion is not None
         i_from_j, covariance, by_depth = measured(matches, found.camera, config.tolerance_m, found.motion.trust_depth)

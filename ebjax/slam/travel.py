@@ -12,12 +12,19 @@ from ebjax.features.extractor import Extractor
 from ebjax.features.landmarks import remounted_landmarks
 from ebjax.features.settle import PairMatches
 from ebjax.geometry.camera import Camera
-from ebjax.odometry.motion import Keyframes, Motion, MotionConfig, fused_motion, motion_with_closures
+from ebjax.odometry.motion import (
+    Keyframes,
+    Motion,
+    MotionConfig,
+    fused_motion,
+    motion_of_nodding,
+    motion_with_closures,
+)
 from ebjax.places.descriptor import Descriptor
 from ebjax.slam.describe import Described
 from ebjax.slam.follow import follow
 from ebjax.slam.keyframes import Load, Progress, describe_keyframes, moved_enough
-from ebjax.slam.lean import Lean, leaning
+from ebjax.slam.lean import Lean, Look, leaning, shown_by_the_floor
 from ebjax.slam.path import Path, path_of_motion, path_of_wheels
 from ebjax.views.run_view import RunView, remounted_view
 
@@ -26,6 +33,8 @@ if TYPE_CHECKING:
 
 LOOK_AGAIN_DEG = 0.1
 """A tilt that was off by more shows the floor bent: the images are looked at again under the right one."""
+MANY, FEW_AGREE, OFTEN = 60, 0.4, 0.15
+"""Of so many matches of two successive views less than that share agrees, in more than this share of all such pairs."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,11 +82,20 @@ class Travel:
             motion=motion,
         )
 
-    def with_closures(self, matches: PairMatches, agree: Bool[np.ndarray, " K"], config: MotionConfig) -> "Travel":
-        """The same under the tilt that closures tell too."""
+    def with_closures(
+        self,
+        matches: PairMatches,
+        agree: Bool[np.ndarray, " K"],
+        i: Int[np.ndarray, " K"],
+        j: Int[np.ndarray, " K"],
+        config: MotionConfig,
+    ) -> tuple["Travel", PairMatches]:
+        """The same, and the closures' matches, under the tilt and, where the robot nods, the leans that these tell."""
         assert self.motion is not None and self.given is not None
         motion = motion_with_closures(self.motion, self.given, matches, agree, config)
-        return self if motion is self.motion else self.moved_to(motion)
+        if self.lean is not None and self.lean.used and agree.any():
+            motion, matches = motion_of_nodding(motion, self.given, matches, agree, i, j, config)
+        return (self if motion is self.motion else self.moved_to(motion)), matches
 
 
 def motion_config(config: "PipelineConfig", recording: Recording) -> MotionConfig:
@@ -97,49 +115,66 @@ def travel(
     progress: Progress,
     seconds: dict[str, float],
 ) -> Travel:
-    """Looks at the keyframes and measures the motion; again where the camera's tilt turns out to be another."""
+    """Looks at the keyframes and measures the motion; again where the camera's tilt is another, or the robot nods."""
     odometry = recording.odom_from_base
-    wheels_alone = config.motion == "wheels"
     floor_alone = odometry is None or config.motion == "floor"
     if odometry is None or floor_alone:
         frames = list(range(len(recording.timestamps)))
     else:
         frames = moved_enough(odometry, config.keyframe_m, config.keyframe_deg)
-    tilt, lean = None, None
-    if recording.level_from_base is not None and not wheels_alone:
-        how = recording.level_from_base, camera, view_of(camera), chosen, place, config.seed
-        lean = leaning(recording.load, frames, *how)
-    level = lean.level_from_base if lean is not None and lean.used else None
-    for again in (False, True):
+
+    def look(camera: Camera, level: Float[np.ndarray, "F 4 4"] | None) -> Look:
         start = time.perf_counter()
         view = view_of(camera)
-        keyframes, described = describe_keyframes(recording.load, frames, camera, view, chosen, place, progress, level)
+        found = describe_keyframes(recording.load, frames, camera, view, chosen, place, progress, level)
         seconds["describe"] = seconds.get("describe", 0.0) + time.perf_counter() - start
-        if wheels_alone:
-            assert odometry is not None
-            return Travel(keyframes, described, camera, view, path_of_wheels(odometry, config.odometry))
-        start = time.perf_counter()
-        found = _moved(recording, keyframes, described, camera, view, floor_alone, config)
-        seconds["motion"] = seconds.get("motion", 0.0) + time.perf_counter() - start
+        return Look(*found, camera, view)
+
+    def move(first: Look, level: Float[np.ndarray, "F 4 4"] | None) -> Travel:
+        found = _moved(recording, first, floor_alone, config)
         assert found.motion is not None
-        off = found.motion.tilt
-        if tilt is not None:
-            found = dataclasses.replace(found, motion=dataclasses.replace(found.motion, tilt=tilt.further(off)))
-        if again or not off.applied or max(abs(off.pitch_deg), abs(off.roll_deg)) < LOOK_AGAIN_DEG:
-            break
-        tilt, camera = off, found.camera
+        tilt = found.motion.tilt
+        if not tilt.applied or max(abs(tilt.pitch_deg), abs(tilt.roll_deg)) < LOOK_AGAIN_DEG:
+            return found
+        again = _moved(recording, look(found.camera, level), floor_alone, config)
+        assert again.motion is not None
+        motion = dataclasses.replace(again.motion, tilt=tilt.further(again.motion.tilt))
+        return dataclasses.replace(again, motion=motion)
+
+    if config.motion == "wheels":
+        assert odometry is not None
+        seen = look(camera, None)
+        return Travel(seen.keyframes, seen.described, camera, seen.view, path_of_wheels(odometry, config.odometry))
+    start = time.perf_counter()
+    through = chosen, place, config.seed
+    lean = None
+    if recording.level_from_base is not None:
+        lean = leaning("odometry", recording.load, frames, recording.level_from_base, camera, view_of(camera), *through)
+    level = lean.level_from_base if lean is not None and lean.used else None
+    first = look(camera, level)
+    found = move(first, level)
+    if lean is None and suspicious(found.motion):
+        wheels = None if floor_alone else odometry
+        shown = shown_by_the_floor(first, recording.timestamps, wheels, config.seed)
+        if shown is not None:
+            lean = leaning("floor", recording.load, first.keyframes.tolist(), shown, camera, first.view, *through)
+        if lean is not None and lean.used:
+            found = move(look(camera, lean.level_from_base), lean.level_from_base)
+    seconds["motion"] = time.perf_counter() - start - seconds["describe"]
     return dataclasses.replace(found, lean=lean)
 
 
-def _moved(
-    recording: Recording,
-    keyframes: Int[np.ndarray, " N"],
-    described: Described,
-    camera: Camera,
-    view: RunView,
-    floor_alone: bool,
-    config: "PipelineConfig",
-) -> Travel:
+def suspicious(motion: Motion | None) -> bool:
+    """Whether more steps fail on the floor than turns and walls explain: the robot may nod."""
+    if motion is None:
+        return False
+    near = (motion.pairs.i - motion.pairs.j == 1) & (motion.pairs.total >= MANY)
+    refused = motion.pairs.inliers < FEW_AGREE * motion.pairs.total
+    return bool(near.any() and refused[near].mean() > OFTEN)
+
+
+def _moved(recording: Recording, seen: Look, floor_alone: bool, config: "PipelineConfig") -> Travel:
+    keyframes, described, camera, view = seen.keyframes, seen.described, seen.camera, seen.view
     steps, at = motion_config(config, recording), recording.odometry_at
     odometry = recording.odom_from_base
     if odometry is None or floor_alone:
