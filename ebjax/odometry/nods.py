@@ -20,7 +20,7 @@ from ebjax.features.measure import measure_floor
 from ebjax.features.settle import EXCESS, FREEDOM, MEDIAN, PairMatches, pair_matches, white
 from ebjax.features.verify import verify
 from ebjax.geometry.camera import Camera, image_from_floor
-from ebjax.geometry.homography import apply, slopes
+from ebjax.geometry.homography import Scalar, apply, slopes
 from ebjax.odometry.steps import MIN_INLIERS
 from ebjax.views.run_view import RunView
 
@@ -201,7 +201,7 @@ def nods(
 
 
 @jax.jit
-def within(matches: PairMatches, camera: Camera, tolerance_m: float) -> Bool[Array, "K M"]:
+def within(matches: PairMatches, camera: Camera, tolerance_m: Scalar) -> Bool[Array, "K M"]:
     """Matches whose points on the floor agree with where the pair starts from."""
 
     def one(pair):
