@@ -93,7 +93,7 @@ class Travel:
         """The same, and the closures' matches, under the tilt and, where the robot nods, the leans that these tell."""
         assert self.motion is not None and self.given is not None
         motion = motion_with_closures(self.motion, self.given, matches, agree, config)
-        if self.lean is not None and self.lean.used and agree.any():
+        if self.lean is not None and self.lean.used and self.lean.by == "floor" and agree.any():
             motion, matches = motion_of_nodding(motion, self.given, matches, agree, i, j, config)
         return (self if motion is self.motion else self.moved_to(motion)), matches
 
