@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float
 
 from ebjax.geometry.homography import Arrays, Scalar, denominator, safe_denominator
 from ebjax.geometry.homography import apply as apply_homography
-from ebjax.geometry.lens import PINHOLE, Lens, bend, lens
+from ebjax.geometry.lens import PINHOLE, Lens, bend_parts, lens
 from ebjax.geometry.lens_inverse import unbend
 
 OUTSIDE_PX = -1e6
@@ -175,8 +175,11 @@ def raw_from_ideal(camera: Camera, pixels: Float[Arrays, "N 2"]) -> Float[Array,
     if camera.lens.model == "pinhole":
         return pixels
     k = jnp.asarray(camera.intrinsics, pixels.dtype)
-    flat, inside = bend(camera.lens, _with_depth_1(pixels) @ jnp.linalg.inv(k).T)
-    return jnp.where(inside[:, None], flat @ k[:2, :2].T + k[None, :2, 2], OUTSIDE_PX)
+    y = (pixels[:, 1] - k[1, 2]) / k[1, 1]
+    x = (pixels[:, 0] - k[0, 2] - k[0, 1] * y) / k[0, 0]
+    x, y, inside = bend_parts(camera.lens, x, y, jnp.ones_like(x))
+    x, y = k[0, 0] * x + k[0, 1] * y + k[0, 2], k[1, 1] * y + k[1, 2]
+    return jnp.stack([jnp.where(inside, x, OUTSIDE_PX), jnp.where(inside, y, OUTSIDE_PX)], axis=-1)
 
 
 @jax.jit

@@ -20,6 +20,8 @@ from ebjax.geometry.lens_models import lens_fault
 
 SAMPLES = 1025
 HALVINGS = 48
+SERIES = {4: 5, 8: 11}
+"""Terms of an arctangent's series below tan(pi / 16), by a float's bytes: it ends below its rounding."""
 STEEPEST = math.radians(89.9)
 """Plumb-bob lenses are looked at up to this angle from the optical axis."""
 
@@ -54,25 +56,52 @@ def bend(lens: Lens, rays: Float[Array, "N 3"]) -> tuple[Float[Array, "N 2"], Bo
 
     Differentiable in the rays and the coefficients. Points outside the domain are finite and of no use.
     """
-    k = jnp.asarray(lens.coefficients, rays.dtype)
+    x, y, inside = bend_parts(lens, rays[:, 0], rays[:, 1], rays[:, 2])
+    return jnp.stack([x, y], axis=-1), inside
+
+
+def bend_parts(
+    lens: Lens, x: Float[Array, " N"], y: Float[Array, " N"], z: Float[Array, " N"]
+) -> tuple[Float[Array, " N"], Float[Array, " N"], Bool[Array, " N"]]:
+    """`bend` of rays (x, y, z): whole axes are several times faster than rows of three."""
+    k = jnp.asarray(lens.coefficients, x.dtype)
+    limit = domain(lens, x.dtype)
+    across = x * x + y * y
     if lens.model == "equidistant":
-        angle, radius, on_axis = _polar(rays)
-        z = jnp.where(rays[:, 2] > 0, rays[:, 2], 1)
-        scale = jnp.where(on_axis, 1 / z, equidistant(k, angle) / radius)
-        return rays[:, :2] * scale[:, None], angle <= domain(lens, rays.dtype)
+        turn = angle_over_distance(across, z)
+        scale = turn * _polynomial(k, across * turn * turn)
+        behind = (across <= jnp.finfo(x.dtype).tiny) & (z <= 0)
+        return x * scale, y * scale, ~behind & (across * turn * turn <= limit * limit)
     if lens.model == "omnidirectional":
-        xi = k[0]
-        size = jnp.sqrt(jnp.sum(rays**2, axis=1))
-        cosine = rays[:, 2] / jnp.where(size > 0, size, 1)
+        xi, size = k[0], jnp.sqrt(across + z * z)
+        cosine = z / jnp.where(size > 0, size, 1)
         ahead = (size > 0) & (cosine > -jnp.minimum(xi, 1 / jnp.maximum(xi, 1e-6)))
-        rays = jnp.stack([rays[:, 0], rays[:, 1], rays[:, 2] + xi * size], axis=1)
+        z = z + xi * size
     else:
-        ahead = rays[:, 2] > 0
-    flat = rays[:, :2] / jnp.where(ahead, rays[:, 2], 1)[:, None]
-    inside = ahead & (jnp.sum(flat**2, axis=1) <= domain(lens, rays.dtype) ** 2)
+        ahead = z > 0
+    inverse = 1 / jnp.where(ahead, z, 1)
+    x, y = x * inverse, y * inverse
+    inside = ahead & (x * x + y * y <= limit * limit)
     if lens.model == "pinhole":
-        return flat, inside
-    return plumb_bob(fourteen(lens, k), flat), inside
+        return x, y, inside
+    return *plumb_bob(padded(lens, k), x, y), inside
+
+
+def angle_over_distance(across: Float[Array, " N"], z: Float[Array, " N"]) -> Float[Array, " N"]:
+    """Theta / r of rays at the distance r from the optical axis, given r^2 and z: smooth on the axis, 1 / z there.
+
+    tan(theta / 2) = r / (sqrt(r^2 + z^2) + z); halved three times more it is so small that a few terms of its
+    arctangent's series do, several times faster than arctan2.
+    """
+    whole = jnp.sqrt(across + z * z) + z
+    over = 1 / jnp.where(whole > 0, whole, 1)
+    for _ in range(3):
+        over = over / (1 + jnp.sqrt(1 + across * over * over))
+    square = across * over * over
+    series = jnp.zeros_like(square)
+    for n in range(SERIES[square.dtype.itemsize], -1, -1):
+        series = (-1) ** n / (2 * n + 1) + square * series
+    return 16 * over * series
 
 
 def domain(lens: Lens, dtype: np.dtype | type) -> Float[Array, ""]:
@@ -87,51 +116,46 @@ def domain(lens: Lens, dtype: np.dtype | type) -> Float[Array, ""]:
     if lens.model == "equidistant":
         return _first_fold(partial(equidistant, k), jnp.linspace(0, math.pi, SAMPLES, dtype=dtype), math.pi)
     wide = jnp.tan(jnp.linspace(0, STEEPEST, SAMPLES, dtype=dtype))
-    terms = fourteen(lens, k)
+    terms = padded(lens, k)
     return _first_fold(lambda r: r * radial(terms, r * r), wide, math.inf)
 
 
-def plumb_bob(k: Float[Array, "14"], flat: Float[Array, "N 2"]) -> Float[Array, "N 2"]:
+def plumb_bob(
+    k: Float[Array, " C"], x: Float[Array, " N"], y: Float[Array, " N"]
+) -> tuple[Float[Array, " N"], Float[Array, " N"]]:
     """OpenCV's radial, tangential, thin-prism and tilted-sensor terms of points on the normalised plane."""
-    x, y = flat[:, 0], flat[:, 1]
     r2 = x * x + y * y
     factor, cross = radial(k, r2), 2 * x * y
     bent_x = x * factor + k[2] * cross + k[3] * (r2 + 2 * x * x) + r2 * (k[8] + k[9] * r2)
     bent_y = y * factor + k[2] * (r2 + 2 * y * y) + k[3] * cross + r2 * (k[10] + k[11] * r2)
+    if len(k) < 14:
+        return bent_x, bent_y
     (sx, cx), (sy, cy) = ((jnp.sin(angle), jnp.cos(angle)) for angle in (k[12], k[13]))
     # R_y R_x, and what brings its third axis back onto the optical one.
     tilted_x = cy * bent_x + sy * sx * bent_y - sy * cx
     tilted_y = cx * bent_y + sx
     depth = sy * bent_x - cy * sx * bent_y + cy * cx
-    return jnp.stack(
-        [(cy * cx * tilted_x + sy * cx * depth) / depth, (cy * cx * tilted_y - sx * depth) / depth], axis=-1
-    )
+    return (cy * cx * tilted_x + sy * cx * depth) / depth, (cy * cx * tilted_y - sx * depth) / depth
 
 
 def equidistant(k: Float[Array, "4"], angle: Float[Array, "*n"]) -> Float[Array, "*n"]:
     """Bent angle: theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8) (Kannala and Brandt, 2006)."""
-    t = angle * angle
-    return angle * (1 + t * (k[0] + t * (k[1] + t * (k[2] + t * k[3]))))
+    return angle * _polynomial(k, angle * angle)
 
 
-def radial(k: Float[Array, "14"], r2: Float[Array, "*n"]) -> Float[Array, "*n"]:
+def _polynomial(k: Float[Array, "4"], t: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    return 1 + t * (k[0] + t * (k[1] + t * (k[2] + t * k[3])))
+
+
+def radial(k: Float[Array, " C"], r2: Float[Array, "*n"]) -> Float[Array, "*n"]:
     """OpenCV's radial factor of the squared distance from the axis."""
     return (1 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))) / (1 + r2 * (k[5] + r2 * (k[6] + r2 * k[7])))
 
 
-def fourteen(lens: Lens, k: Float[Array, " C"]) -> Float[Array, "14"]:
-    """OpenCV's 14 coefficients of a plumb-bob lens, or of the plane behind Mei's sphere."""
+def padded(lens: Lens, k: Float[Array, " C"]) -> Float[Array, " D"]:
+    """OpenCV's 12 coefficients of a plumb-bob lens, or of the plane behind Mei's sphere; 14 where its sensor tilts."""
     k = k[1:] if lens.model == "omnidirectional" else k
-    return jnp.concatenate([k, jnp.zeros(14 - k.shape[0], k.dtype)])
-
-
-def _polar(rays: Float[Array, "N 3"]) -> tuple[Float[Array, " N"], Float[Array, " N"], Bool[Array, " N"]]:
-    """The angle from the optical axis, the distance from it, 1 where that is nothing, and where it is."""
-    across = jnp.sum(rays[:, :2] ** 2, axis=1)
-    on_axis = across <= jnp.finfo(rays.dtype).eps ** 2 * rays[:, 2] ** 2
-    radius = jnp.sqrt(jnp.where(on_axis, 1, across))
-    straight = jnp.where(rays[:, 2] > 0, 0.0, jnp.pi)
-    return jnp.where(on_axis, straight, jnp.arctan2(radius, rays[:, 2])), radius, on_axis
+    return jnp.concatenate([k, jnp.zeros(max(0, 12 - k.shape[0]), k.dtype)])
 
 
 def _first_fold(

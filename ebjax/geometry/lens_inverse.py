@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from ebjax.geometry.lens import STEEPEST, Lens, domain, equidistant, fourteen, plumb_bob, radial
+from ebjax.geometry.lens import STEEPEST, Lens, domain, equidistant, padded, plumb_bob, radial
 
 HALVINGS = 24
 ROUNDS = 8
@@ -27,7 +27,7 @@ def unbend(lens: Lens, points: Float[Array, "N 2"]) -> tuple[Float[Array, "N 3"]
     if lens.model == "pinhole":
         flat, inside = points, jnp.ones(len(points), bool)
     else:
-        flat, inside = _from_plumb_bob(lens, fourteen(lens, k), points)
+        flat, inside = _from_plumb_bob(lens, padded(lens, k), points)
     square = jnp.sum(flat**2, axis=1)
     if lens.model == "omnidirectional":
         xi = k[0]
@@ -40,8 +40,12 @@ def unbend(lens: Lens, points: Float[Array, "N 2"]) -> tuple[Float[Array, "N 3"]
     return rays, inside
 
 
-def _from_plumb_bob(lens: Lens, k: Float[Array, "14"], points: Float[Array, "N 2"]):
+def _from_plumb_bob(lens: Lens, k: Float[Array, " C"], points: Float[Array, "N 2"]):
     target, still = jax.lax.stop_gradient(points), jax.lax.stop_gradient(k)
+
+    def bent(k, flat):
+        return jnp.stack(plumb_bob(k, flat[:, 0], flat[:, 1]), axis=-1)
+
     most = jnp.minimum(domain(lens, points.dtype), jnp.tan(jnp.asarray(STEEPEST, points.dtype)))
     distance = jnp.sqrt(jnp.sum(target**2, axis=1))
     # Radial terms alone, by halving the angle: they say where to start.
@@ -49,15 +53,15 @@ def _from_plumb_bob(lens: Lens, k: Float[Array, "14"], points: Float[Array, "N 2
     start = target * (jnp.tan(angle) / jnp.where(distance > 0, distance, 1))[:, None]
 
     def newton(flat, _):
-        return flat - _solved(partial(plumb_bob, still), flat, plumb_bob(still, flat) - target), None
+        return flat - _solved(partial(bent, still), flat, bent(still, flat) - target), None
 
     flat = jax.lax.stop_gradient(jax.lax.scan(newton, start, None, length=ROUNDS)[0])
-    missed = jnp.sum((plumb_bob(still, flat) - target) ** 2, axis=1)
+    missed = jnp.sum((bent(still, flat) - target) ** 2, axis=1)
     inside = (missed <= (CLOSE * (1 + distance)) ** 2) & (jnp.sum(flat**2, axis=1) <= most**2)
     flat = jnp.where(inside[:, None], flat, 0)
     # One step more, whose derivative is that of the implicit function.
-    off = jnp.where(inside[:, None], plumb_bob(k, flat) - points, 0)
-    return flat - _solved(partial(plumb_bob, still), flat, off), inside
+    off = jnp.where(inside[:, None], bent(k, flat) - points, 0)
+    return flat - _solved(partial(bent, still), flat, off), inside
 
 
 def _from_equidistant(lens: Lens, k: Float[Array, "4"], points: Float[Array, "N 2"]):
