@@ -24,6 +24,7 @@ PAIRS = 12
 GAPS = (1, 2, 4)
 WHEELS, WHEELS_M = 0.02, 0.003
 """How wheels may err: a share of the way and of the turn, and m."""
+CLEARLY = 1.5
 LEAST_DEG, KNOWN_DEG = 0.15, 0.5
 """A smaller lean is none; one that is not known so well is left out."""
 TOLERANCE_M = 0.01
@@ -47,8 +48,8 @@ class Lean:
 
     @property
     def used(self) -> bool:
-        """Whether floor views agree at least as well with it."""
-        return self.agree[0] >= self.agree[1]
+        """Whether floor views agree at least as well with what odometry says; clearly better with what they say."""
+        return self.agree[0] >= (1.0 if self.by == "odometry" else CLEARLY) * self.agree[1]
 
     def says(self) -> str:
         """In one line."""
