@@ -110,8 +110,8 @@ def aligned(
 def _bilinear(image: UInt8[Array, "h w"], x: Float[Array, " *n"], y: Float[Array, " *n"]) -> Float[Array, " *n"]:
     """Values at points, anyhow outside.
 
-    A gather costs by the element, so one word holds a pixel and its three neighbours: a third of the time of
-    `geometry.warp.sample_bilinear`, which takes any image and fades outside.
+    A gather costs by the element, so one word holds a pixel and its three neighbours; `geometry.warp.sample_bilinear`
+    takes any image and fades outside.
     """
     height, width = image.shape
     pixel = image.astype(jnp.uint32)

@@ -44,7 +44,7 @@ def mutual_nearest(query: Features, reference: Features, *, max_ratio: float = 1
     allowed = query.valid[:, None] & reference.valid[None, :]
     similarity = jnp.where(allowed, similarity, -2.0)
     best, back = jnp.max(similarity, axis=1), jnp.max(similarity, axis=0)
-    # Where the maximum stands is looked up by comparing: a third of the time of argmax, which XLA's CPU does not pack.
+    # Where the maximum stands is looked up by comparing: XLA's CPU does not vectorise argmax.
     columns = jnp.arange(similarity.shape[1], dtype=jnp.int32)[None, :]
     nearest = jnp.min(jnp.where(similarity == best[:, None], columns, columns.size - 1), axis=1)
     second = jnp.max(jnp.where(columns == nearest[:, None], -2.0, similarity), axis=1)

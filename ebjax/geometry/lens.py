@@ -63,7 +63,7 @@ def bend(lens: Lens, rays: Float[Array, "N 3"]) -> tuple[Float[Array, "N 2"], Bo
 def bend_parts(
     lens: Lens, x: Float[Array, " N"], y: Float[Array, " N"], z: Float[Array, " N"]
 ) -> tuple[Float[Array, " N"], Float[Array, " N"], Bool[Array, " N"]]:
-    """`bend` of rays (x, y, z): whole axes are several times faster than rows of three."""
+    """`bend` of rays (x, y, z), each axis in an array of its own."""
     k = jnp.asarray(lens.coefficients, x.dtype)
     limit = domain(lens, x.dtype)
     across = x * x + y * y
@@ -91,7 +91,7 @@ def angle_over_distance(across: Float[Array, " N"], z: Float[Array, " N"]) -> Fl
     """Theta / r of rays at the distance r from the optical axis, given r^2 and z: smooth on the axis, 1 / z there.
 
     tan(theta / 2) = r / (sqrt(r^2 + z^2) + z); halved three times more it is so small that a few terms of its
-    arctangent's series do, several times faster than arctan2.
+    arctangent's series do, which vectorise where arctan2 does not.
     """
     whole = jnp.sqrt(across + z * z) + z
     over = 1 / jnp.where(whole > 0, whole, 1)

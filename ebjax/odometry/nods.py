@@ -6,14 +6,16 @@ frame's lean, with a prior around upright.
 """
 
 import dataclasses
+from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.sparse as sparse
 from jaxtyping import Array, Bool, Float, Int
-from scipy.sparse.linalg import spsolve
+from scipy.sparse.linalg import splu, spsolve
 
 from ebjax.features.landmarks import Landmarks, take
 from ebjax.features.measure import measure_floor
@@ -30,7 +32,7 @@ AVERAGE_S, AVERAGE_DEG = 2.5, 0.1
 """Over so long to either side a nod averages out to about that: what leans longer is the mount."""
 REST_DEG = 0.3
 """... of what is left of it once the views were looked at accordingly."""
-PAIRS_A_CALL = 64
+PAIRS_A_CALL, COLUMNS = 64, 256
 ROUNDS = 8
 MEDIAN_4 = 3.3567
 """Of chi-square with four degrees of freedom."""
@@ -56,12 +58,19 @@ def bent_pairs(
 ) -> PairMatches:
     """Matches of pairs of floor views that agree on a homography between them."""
     keys = jax.random.split(jax.random.key(seed), len(i))
-    blocks = []
-    for start in range(0, len(i), PAIRS_A_CALL):
-        rows = np.arange(start, start + PAIRS_A_CALL) % len(i)  # the last block is filled up: one shape
+
+    def block(rows):
         ends = take(landmarks, i[rows]), take(landmarks, j[rows])
-        blocks.append(jax.tree.map(np.asarray, _matched(*ends, keys[rows], view, camera, TOLERANCE_M)))
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(i)], *blocks)
+        return _matched(*ends, keys[rows], view, camera, TOLERANCE_M)
+
+    return _in_blocks(block, len(i))
+
+
+def _in_blocks(call: Callable[[Int[np.ndarray, " B"]], Any], count: int) -> Any:
+    """What `call` makes of all rows, a block at a time; the last block is filled up, so that all have one shape."""
+    starts = range(0, count, PAIRS_A_CALL)
+    found = [jax.tree.map(np.asarray, call(np.arange(s, s + PAIRS_A_CALL) % count)) for s in starts]
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *found)
 
 
 def leant(camera: Camera, lean: Float[Array, "2"]) -> Camera:
@@ -111,6 +120,10 @@ def _systems(
         )
 
     return jax.lax.map(one, (matches, unknowns))
+
+
+def _some_systems(matches: PairMatches, unknowns: Float[np.ndarray, "K 7"], camera: Camera, rows: np.ndarray):
+    return _systems(jax.tree.map(lambda leaf: leaf[rows], matches), unknowns[rows], camera)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -165,15 +178,13 @@ def nods(
     prior = np.radians(prior_deg) ** -2
     believed = sparse.eye(2 * count, format="csc") * prior
     if times is not None:
-        near = (np.abs(times[:, None] - times[None]) <= AVERAGE_S).astype(float)
-        average = sparse.kron(sparse.csc_matrix(near / near.sum(1, keepdims=True)), sparse.eye(2), format="csc")
+        average = _averages(times)
         believed = believed + average.T @ average * np.radians(AVERAGE_DEG) ** -2
     total = believed
     columns = np.stack([2 * i, 2 * i + 1, 2 * j, 2 * j + 1], 1) if len(i) else np.zeros((0, 4), int)
     for _ in range(ROUNDS if len(i) else 0):
         unknowns = np.concatenate([lean[i], lean[j], motion], 1)
-        information, gradient = (np.asarray(a) for a in _padded(matches, unknowns, camera))
-        information = information.copy()
+        information, gradient = _in_blocks(partial(_some_systems, matches, unknowns, camera), len(i))
         information[:, [4, 5, 6], [4, 5, 6]] += trust
         off = motion - counted
         off[:, 2] = np.arctan2(np.sin(off[:, 2]), np.cos(off[:, 2]))
@@ -196,8 +207,30 @@ def nods(
         lean = lean + step
         change = np.concatenate([step[i], step[j]], 1)
         motion = motion - np.einsum("kab,kb->ka", inner, gradient[:, 4:]) - np.einsum("kab,kb->ka", gain, change)
-    sigma = np.sqrt(np.maximum(np.linalg.inv(total.toarray()).diagonal(), 0)).reshape(count, 2)
-    return Nods(lean, sigma)
+    return Nods(lean, np.sqrt(_inverse_diagonal(total)).reshape(count, 2))
+
+
+def _averages(times: Float[np.ndarray, " N"]) -> sparse.csc_matrix:
+    """Pitch and roll of every keyframe -> their means over the keyframes at most `AVERAGE_S` away."""
+    first = np.searchsorted(times, times - AVERAGE_S)
+    last = np.searchsorted(times, times + AVERAGE_S, side="right")
+    size = last - first
+    rows = np.repeat(np.arange(len(times)), size)
+    columns = np.arange(size.sum()) - np.repeat(np.cumsum(size) - size, size) + np.repeat(first, size)
+    means = sparse.csc_matrix((1.0 / np.repeat(size, size), (rows, columns)), (len(times),) * 2)
+    return sparse.kron(means, sparse.eye(2), format="csc")
+
+
+def _inverse_diagonal(matrix: sparse.csc_matrix) -> Float[np.ndarray, " M"]:
+    """Of a sparse matrix's inverse, some columns at a time."""
+    solver, size = splu(matrix.tocsc()), matrix.shape[0]
+    found = np.zeros(size)
+    for start in range(0, size, COLUMNS):
+        some = np.arange(start, min(start + COLUMNS, size))
+        unit = np.zeros((size, len(some)))
+        unit[some, some - start] = 1
+        found[some] = solver.solve(unit)[some, some - start]
+    return found
 
 
 @jax.jit
@@ -240,19 +273,4 @@ def levelled_matches(
     if not len(i):
         return matches
     lean = np.stack([found.lean[i], found.lean[j]], 1)
-    blocks = []
-    for start in range(0, len(i), PAIRS_A_CALL):
-        rows = np.arange(start, start + PAIRS_A_CALL) % len(i)
-        block = jax.tree.map(lambda leaf, rows=rows: leaf[rows], matches)
-        blocks.append(jax.tree.map(np.asarray, _leaned(block, lean[rows], camera)))
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(i)], *blocks)
-
-
-def _padded(matches: PairMatches, unknowns: Float[np.ndarray, "K 7"], camera: Camera):
-    """`_systems` a block at a time, of one shape."""
-    found = []
-    for start in range(0, len(unknowns), PAIRS_A_CALL):
-        rows = np.arange(start, start + PAIRS_A_CALL) % len(unknowns)
-        block = jax.tree.map(lambda leaf, rows=rows: leaf[rows], matches)
-        found.append([np.asarray(a) for a in _systems(block, unknowns[rows], camera)])
-    return [np.concatenate(parts)[: len(unknowns)] for parts in zip(*found, strict=True)]
+    return _in_blocks(lambda rows: _leaned(jax.tree.map(lambda leaf: leaf[rows], matches), lean[rows], camera), len(i))

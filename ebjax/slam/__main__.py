@@ -154,7 +154,7 @@ def main(config: Config) -> None:
     try:
         looking(camera)
     except ValueError as fault:
-        raise ValueError(f"{config.camera or camera_source(sequence)}: {fault}") from None
+        raise ValueError(f"{config.camera or log.camera_source}: {fault}") from None
 
     odometry = None if sequence.odom_from_base is None else planar(sequence.odom_from_base)
     retimed = None
@@ -219,16 +219,6 @@ def run_view(config: Config, ignored: np.ndarray | None, camera: Camera) -> RunV
     return view if ignored is None else without(view, camera, ignored)
 
 
-def camera_source(sequence: Sequence) -> str:
-    """What the run's camera was read from."""
-    return str(sequence.path) if sequence.log.camera is None else sequence.log.camera.source
-
-
-def depth_source(sequence: Sequence) -> str:
-    """What the run's depth images were read from."""
-    return str(sequence.path) if sequence.log.depth is None else sequence.log.depth.source
-
-
 def ignored_pixels(config: Config, sequence: Sequence, frames: Frames) -> np.ndarray | None:
     """Pixels of the image that are no world, or None."""
     size = sequence.camera.width, sequence.camera.height
@@ -280,7 +270,7 @@ def run_camera(config: Config, sequence: Sequence, frames: Frames) -> Camera:
     try:
         camera, height_m, pitch_deg, roll_deg = camera_from_depth(depths, camera)
     except ValueError as fault:
-        raise ValueError(f"{depth_source(sequence)}: {fault}") from None
+        raise ValueError(f"{sequence.log.depth_source}: {fault}") from None
     print(f"floor from depth: camera {height_m:.3f} m above it, pitch {pitch_deg:.2f} deg, roll {roll_deg:.2f} deg")
     return camera
 
@@ -297,7 +287,7 @@ def check_images(config: Config, sequence: Sequence, frames: Frames, result: Res
         return
     if not (result.described.landmarks.range_m > 0).any():
         raise ValueError(
-            f"{depth_source(sequence)}: no depth on the floor in any of {len(result.keyframes)} frames "
+            f"{sequence.log.depth_source}: no depth on the floor in any of {len(result.keyframes)} frames "
             "(all zero or not finite); check depth_scale in camera.json, or run with --depth none"
         )
     error = floor_error_m(result.described.landmarks)

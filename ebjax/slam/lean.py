@@ -49,7 +49,9 @@ class Lean:
     @property
     def used(self) -> bool:
         """Whether floor views agree at least as well with what odometry says; clearly better with what they say."""
-        return self.agree[0] >= (1.0 if self.by == "odometry" else CLEARLY) * self.agree[1]
+        if self.by == "odometry":
+            return self.agree[0] >= self.agree[1]
+        return self.agree[0] > CLEARLY * self.agree[1]
 
     def says(self) -> str:
         """In one line."""
@@ -110,6 +112,10 @@ def leaning(
     change = np.linalg.norm(np.diff(seen, axis=0), axis=1)
     firsts = np.sort(np.argsort(-change, kind="stable")[:PAIRS])
     chosen = sorted({frames[k + side] for k in firsts.tolist() for side in (0, 1)})
+    rms_deg = float(np.sqrt((seen**2).sum(1).mean()))
+    chosen = [frame for frame in chosen if load(frame) is not None]
+    if len(chosen) < 2:
+        return Lean(level_from_base, by, rms_deg, (0, 0))
     agree = []
     for how in (level_from_base, None):
         read, described = describe_keyframes(
@@ -130,4 +136,4 @@ def leaning(
             seed=seed,
         )
         agree.append(int(found[0].inliers.sum()))
-    return Lean(level_from_base, by, float(np.sqrt((seen**2).sum(1).mean())), (agree[0], agree[1]))
+    return Lean(level_from_base, by, rms_deg, (agree[0], agree[1]))

@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
+from ebjax.io.logs.open import LogOptions, Topics, open_log
 from ebjax.io.poses import poses_from
 from ebjax.io.sequence import BrokenFrame, read_sequence, require_odometry
 from ebjax.io.trajectory import write_tum
@@ -276,3 +277,13 @@ def test_real_run(data):
     run = read_sequence(data("corridor_rgbd"))
     assert len(run) == 172 and run.has_depth and np.isfinite(run.world_from_base).all()
     assert run.rgb(171).shape == (480, 640, 3) and 1 < np.median(run.depth(0)) < 5
+
+
+def test_options_of_another_kind_of_log_are_refused(folder):
+    for options, words in (
+        (LogOptions(session=1), r"--session is for RTAB-Map databases; leave it out here"),
+        (LogOptions(topics=Topics(image="/camera")), r"--topics\.\* is for ROS bags"),
+        (LogOptions(frames_per_s=5.0), r"--frames-per-s is for videos and folders of images"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            open_log(folder, options)

@@ -66,3 +66,13 @@ class Log:
     contents: tuple[str, ...] = ()
     base_from_camera: Float[np.ndarray, "4 4"] | None = None
     missing: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def camera_source(self) -> str:
+        """What the camera was read from, for messages."""
+        return str(self.path) if self.camera is None else self.camera.source
+
+    @property
+    def depth_source(self) -> str:
+        """What the depth images were read from, for messages."""
+        return str(self.path) if self.depth is None else self.depth.source

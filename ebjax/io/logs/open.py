@@ -52,6 +52,14 @@ class LogOptions:
 
 
 DEFAULT = LogOptions()
+OPTIONS = (
+    ("topics", ("bag",), "ROS bags"),
+    ("session", ("rtabmap",), "RTAB-Map databases"),
+    ("camera_index", ("rtabmap",), "RTAB-Map databases"),
+    ("images", ("rtabmap",), "RTAB-Map databases"),
+    ("frames_per_s", ("video", "images"), "videos and folders of images"),
+)
+"""Field, the kinds of log that it is for, and these in words."""
 
 
 def open_log(
@@ -69,6 +77,7 @@ def open_log(
       ValueError: nothing there, nothing that is read, or a fault in it; names file and remedy.
     """
     kind = kind_of(path)
+    _check_options(path, kind, options)
     if kind == "bag":
         return open_bag(path, topics={role: topic for role, topic in asdict(options.topics).items() if topic})
     if kind == "rtabmap":
@@ -78,6 +87,14 @@ def open_log(
     if kind == "images":
         return open_images(path, frames_per_s=options.frames_per_s)
     return open_tum_folder(path, depth=depth, depth_scale=depth_scale)
+
+
+def _check_options(path: str | Path, kind: str, options: LogOptions) -> None:
+    """Refuses what is said of another kind of log."""
+    for name, kinds, words in OPTIONS:
+        if getattr(options, name) != getattr(DEFAULT, name) and kind not in kinds:
+            flag = "--topics.*" if name == "topics" else f"--{name.replace('_', '-')}"
+            raise ValueError(f"{path}: {flag} is for {words}; leave it out here")
 
 
 def kind_of(path: str | Path) -> Literal["tum", "bag", "rtabmap", "video", "images"]:

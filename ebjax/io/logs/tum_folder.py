@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from ebjax.io.calibration.calibration import Calibration
-from ebjax.io.camera_file import CameraFile, read_camera
+from ebjax.io.calibration.camera_json import calibration_from_camera
+from ebjax.io.camera_file import read_camera
 from ebjax.io.images import read_depth, read_image
 from ebjax.io.logs.log import Images, Log
 from ebjax.io.text import check_increasing, data_lines, floats
@@ -60,7 +60,7 @@ def open_tum_folder(path: str | Path, *, depth: bool = True, depth_scale: float 
         kind="folder in TUM layout",
         colour=colour,
         depth=depths,
-        camera=None if camera is None else _calibration(folder / "camera.json", camera),
+        camera=None if camera is None else calibration_from_camera(folder / "camera.json", camera, camera.depth_scale),
         odometry=odometry,
         truth=truth,
         notes=tuple(notes),
@@ -76,20 +76,6 @@ def _depth(folder: Path, depth_scale: float) -> Images:
 
 def _poses(path: Path) -> Trajectory | None:
     return read_tum(path) if _there(path) else None
-
-
-def _calibration(path: Path, camera: CameraFile) -> Calibration:
-    return Calibration(
-        source=str(path),
-        kind="camera.json",
-        width=camera.width,
-        height=camera.height,
-        intrinsics=camera.intrinsics,
-        distortion_model=camera.distortion_model,
-        distortion=camera.distortion,
-        base_from_camera=camera.base_from_camera,
-        depth_scale=camera.depth_scale,
-    )
 
 
 def _contents(
