@@ -8,9 +8,11 @@ from jaxtyping import Bool, Float, Int
 from ebjax.geometry.camera import Camera
 from ebjax.geometry.planar import between, chained, inverse, inverse_covariance
 from ebjax.odometry.chain import carried_on
+from ebjax.odometry.image_corners import image_corners
+from ebjax.odometry.image_matches import ImageFeatures
 from ebjax.odometry.steps import USED, Steps
 from ebjax.odometry.wheels import WheelErrors
-from ebjax.odometry.whole_image import ideal, image_features, measure_motion
+from ebjax.odometry.whole_image import measure_motion
 
 Load = Callable[[int], tuple[np.ndarray, np.ndarray | None] | None]
 NO_COMMON = "no motion explains the whole images"
@@ -26,6 +28,7 @@ def bridge(
     load: Load,
     errors: WheelErrors,
     ignored: Bool[np.ndarray, "H W"] | None = None,
+    level_from_base: Float[np.ndarray, "N 4 4"] | None = None,
 ) -> Steps:
     """Measures the steps between successive keyframes that `steps` lacks; without wheels, else over the next one.
 
@@ -39,6 +42,7 @@ def bridge(
       load: frame number -> (RGB, depth).
       errors: of the wheels.
       ignored: pixels of the image that are no world.
+      level_from_base: how the robot leans at every keyframe; None: it does not.
     """
     known = np.zeros(count, bool)
     first = steps.used & (steps.i - steps.j == 1)
@@ -46,14 +50,15 @@ def bridge(
     moved = np.zeros((count - 1, 3))
     moved[steps.j[first]] = inverse(steps.i_from_j[first])
     moved = carried_on(moved, known[1:], times)
-    looked: dict[int, tuple | None] = {}
+    looked: dict[int, ImageFeatures | None] = {}
     rows: list[tuple] = []
     seen = None if ignored is None else ~ignored
 
     def look(k: int):
         if k not in looked:
             images = load(int(frames[k]))
-            looked[k] = None if images is None else (ideal(image_features(images[0], seen), camera), images[1])
+            leant = None if level_from_base is None else level_from_base[k]
+            looked[k] = None if images is None else image_corners(*images, camera, seen, leant)
             for old in [n for n in looked if n < k - 3]:
                 del looked[old]
         return looked[k]
@@ -70,7 +75,7 @@ def bridge(
             guess = inverse(chained(moved[j:k])[-1])
             length = float(np.hypot(*guess[:2]))
             wide = np.diag([(0.3 * length + 0.03) ** 2] * 2 + [0.3**2])
-        found = measure_motion(a[0], b[0], camera, a[1], b[1], (guess, wide))
+        found = measure_motion(a, b, camera, (guess, wide))
         kind = "rotation" if found.kind == "rotation" else "image"
         reason = USED if found.ok else NO_COMMON
         rows.append((k, j, kind, found.inliers, found.matches, found.i_from_j, found.covariance, reason))

@@ -3,13 +3,11 @@
 Host side, NumPy. Pixels are (x, y), the centre of the top-left pixel at (0, 0).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
-
-from ebjax.geometry.camera import OUTSIDE_PX, Camera, ideal_from_raw, raw_slopes
 
 COUNT = 1500
 CONTRAST = 0.01
@@ -20,8 +18,6 @@ CELLS = 12
 """Cells along the longer side of the image; each gives its strongest corner before any gives its second."""
 BORDER_PX = 6
 RATIO = 0.8
-MOST_STRETCH = 4.0
-"""Of a pinhole's image over a lens's: farther out, 60 degrees for a fisheye, corners say little."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +30,7 @@ class ImageFeatures:
       sizes_px: the diameters of the patches they describe; larger ones lie less exactly.
       unit_px: pixels of the raw image in one of those that were searched: 1, or 2, 4, ... where it was halved.
       stretch: ideal pixels in a raw one, at each corner; None: 1.
+      depth_m: along the optical axis at each corner, 0 where missing; None: the image has no depth.
     """
 
     keypoints: Float[np.ndarray, "N 2"]
@@ -41,6 +38,7 @@ class ImageFeatures:
     sizes_px: Float[np.ndarray, " N"]
     unit_px: float = 1.0
     stretch: Float[np.ndarray, " N"] | None = None
+    depth_m: Float[np.ndarray, " N"] | None = None
 
     def __len__(self) -> int:
         """Returns the number of corners."""
@@ -96,26 +94,6 @@ def image_features(
     factor = 2.0**halvings
     sizes = np.array([k.size for k in keypoints])[keep] * factor
     return ImageFeatures((points[keep] + 0.5) * factor - 0.5, root.astype(np.float32), sizes, factor)
-
-
-def ideal(features: ImageFeatures, camera: Camera) -> ImageFeatures:
-    """The corners in ideal pixels, without those that a pinhole's image stretches more than four times."""
-    if camera.lens.model == "pinhole":
-        return features
-    padded = np.zeros((-(-max(len(features), 1) // COUNT) * COUNT, 2))  # one program for all images
-    padded[: len(features)] = features.keypoints
-    pixels = ideal_from_raw(camera, padded)
-    slopes = np.linalg.norm(np.asarray(raw_slopes(camera, pixels)), ord=-2, axis=(1, 2))
-    pixels, slopes = np.asarray(pixels)[: len(features)], slopes[: len(features)]
-    kept = np.flatnonzero((pixels[:, 0] > OUTSIDE_PX / 2) & (slopes > 1 / MOST_STRETCH))
-    stretch = np.maximum(1 / slopes[kept], 1.0)
-    return replace(
-        features,
-        keypoints=pixels[kept],
-        descriptors=features.descriptors[kept],
-        sizes_px=features.sizes_px[kept],
-        stretch=stretch,
-    )
 
 
 def match_features(

@@ -106,6 +106,7 @@ class Keyframes:
       wheels_at: (what is added to the images' stamps, s) -> odometry at the keyframes; None without wheels.
       load: frame number -> (RGB, depth) for the whole image, where the floor tells nothing.
       ignored: pixels of the image that are no world.
+      level_from_base: how the robot leans at every keyframe; None: it does not.
     """
 
     frames: Int[np.ndarray, " N"]
@@ -116,6 +117,7 @@ class Keyframes:
     wheels_at: Callable[[float], Float[np.ndarray, "N 3"]] | None
     load: Load
     ignored: Bool[np.ndarray, "H W"] | None
+    level_from_base: Float[np.ndarray, "N 4 4"] | None = None
 
 
 def fused_motion(keyframes: Keyframes, camera: Camera, start: Float[np.ndarray, "N 3"], config: MotionConfig) -> Motion:
@@ -225,9 +227,8 @@ def conclude(
     if wheels is not None:
         floor = without_body(floor, wheels, keyframes.views, config.errors)
     if bridged is None:
-        bridged = bridge(
-            floor, count, keyframes.frames, times, wheels, camera, keyframes.load, config.errors, keyframes.ignored
-        )
+        known = keyframes.load, config.errors, keyframes.ignored, keyframes.level_from_base
+        bridged = bridge(floor, count, keyframes.frames, times, wheels, camera, *known)
     steps = joined([floor, bridged])
     offset, wrong = TimeOffset(), None
     if wheels is not None and wheels_at is not None:

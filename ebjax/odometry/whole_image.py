@@ -7,20 +7,15 @@ image, the floor, or nothing but the epipolar line. Host side, NumPy.
 
 from dataclasses import dataclass
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ebjax.features.measure import lift
 from ebjax.geometry.camera import Camera
 from ebjax.odometry.image_choice import FEWEST, Choice, Images, Kind, choose, known_by
-from ebjax.odometry.image_matches import COUNT, ImageFeatures, ideal, image_features, match_features
+from ebjax.odometry.image_matches import ImageFeatures, match_features
 from ebjax.odometry.planar_motion import base_motion, camera_motion, lever
 from ebjax.odometry.planar_motion_cost import WRONG_COST, explain
 from ebjax.odometry.planar_motion_fit import polish, refine, turn_width
-
-__all__ = ["ImageFeatures", "MotionMeasurement", "ideal", "image_features", "measure_motion"]
 
 FEWEST_ROTATION = 25
 WEAK = 1e-3
@@ -64,19 +59,6 @@ class MotionMeasurement:
         )
 
 
-_lift = jax.jit(lift)
-
-
-def _depths(features: ImageFeatures, depth_m: Float[np.ndarray, "H W"] | None, camera: Camera) -> np.ndarray:
-    """Depth at every corner, m, 0 where missing; padded so that one program serves all images."""
-    if depth_m is None:
-        return np.zeros(len(features))
-    padded = np.zeros((-(-max(len(features), 1) // COUNT) * COUNT, 2), np.float32)
-    padded[: len(features)] = features.keypoints
-    depth = _lift(jnp.asarray(padded), jnp.asarray(depth_m, jnp.float32), camera)[1]
-    return np.asarray(depth, np.float64)[: len(features)]
-
-
 def _right_tangent(
     motion: Float[np.ndarray, "3"], covariance: Float[np.ndarray, "3 3"], camera_xy: Float[np.ndarray, "2"]
 ) -> Float[np.ndarray, "3 3"]:
@@ -102,18 +84,14 @@ def measure_motion(
     features_i: ImageFeatures,
     features_j: ImageFeatures,
     camera: Camera,
-    depth_i: Float[np.ndarray, "H W"] | None = None,
-    depth_j: Float[np.ndarray, "H W"] | None = None,
     prior: tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]] | None = None,
 ) -> MotionMeasurement:
     """Measures i_from_j from two images, up to turns of 70 degrees that leave some of the view in common.
 
     Args:
-      features_i: of the later image, by `image_features`, and `ideal` behind a lens.
+      features_i: of the later image, by `image_corners`. Depth counts where both images have it.
       features_j: of the earlier image.
       camera: intrinsics, px, and mount; both images are of this camera.
-      depth_i: of image i, m; 0 or not finite where missing. Depth counts where both images have it.
-      depth_j: of image j.
       prior: (i_from_j, covariance in its right tangent) of wheels or of carried speed. It starts the search, decides
         between motions that both explain the images, and says what a rotation alone cannot: how far. It is not fused.
     """
@@ -123,8 +101,10 @@ def measure_motion(
     nothing = MotionMeasurement(guess, wide, 0, matches, "rotation", False)
     if matches < FEWEST:
         return nothing
-    both = depth_i is not None and depth_j is not None
-    depths = [_depths(f, d if both else None, camera) for f, d in ((features_i, depth_i), (features_j, depth_j))]
+    if features_i.depth_m is None or features_j.depth_m is None:
+        depths = np.zeros(len(features_i)), np.zeros(len(features_j))
+    else:
+        depths = features_i.depth_m, features_j.depth_m
     images = Images(features_i, features_j, camera, *depths)
     xy = np.asarray(camera.base_from_camera, np.float64)[:2, 3]
     cos, sin = np.cos(guess[2]), np.sin(guess[2])

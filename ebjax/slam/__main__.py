@@ -26,7 +26,7 @@ from ebjax.io.logs.camera import camera_of
 from ebjax.io.logs.mount_options import MountOptions
 from ebjax.io.logs.open import LogOptions, open_log
 from ebjax.io.mask import alpha_mask, read_mask
-from ebjax.io.sequence import BrokenFrame, Sequence, read_sequence
+from ebjax.io.sequence import BrokenFrame, Sequence, read_sequence, require_odometry
 from ebjax.io.timed_poses import MAX_GAP_S
 from ebjax.slam.pipeline import MountConfig, PipelineConfig, Remember, Result
 from ebjax.slam.pipeline import run as run_pipeline
@@ -161,9 +161,11 @@ def main(config: Config) -> None:
     if odometry is not None and config.time_offset_s == "auto":
 
         def retimed(offset: float) -> np.ndarray:
-            later = sequence.at_offset(offset).odom_from_base
-            assert later is not None
-            return planar(later)
+            return planar(require_odometry(sequence.at_offset(offset)))
+
+    def leaning_at(offset: float) -> np.ndarray | None:
+        at = sequence.at_offset(offset) if offset else sequence
+        return None if at.odom_from_base is None else tilt_of_poses(at.odom_from_base)
 
     try:
         with contextlib.ExitStack() as at_end:
@@ -179,7 +181,7 @@ def main(config: Config) -> None:
                 known,
                 retimed,
                 ignored,
-                None if sequence.odom_from_base is None else tilt_of_poses(sequence.odom_from_base),
+                leaning_at,
             )
     except ValueError as fault:
         if not frames.broken:

@@ -1,9 +1,10 @@
-"""How a robot leans as it drives, by its odometry or by the floor views, and whether the views agree with it.
+"""How a robot leans as it drives, by odometry, depth or the floor views, and whether the views agree with it.
 
 Odometry from wheels and an IMU knows how the robot nods; visual odometry that drifts in tilt does not.
 """
 
 import dataclasses
+from collections.abc import Callable, Iterable, Iterator
 from typing import Literal
 
 import numpy as np
@@ -13,13 +14,16 @@ from ebjax.features.extractor import Extractor
 from ebjax.features.landmarks import take
 from ebjax.features.verify_pairs import verify_blocks
 from ebjax.geometry.camera import Camera
+from ebjax.geometry.lean_numbers import levels_from_usual
 from ebjax.geometry.planar import between
 from ebjax.odometry.nods import bent_pairs, nods
 from ebjax.places.descriptor import Descriptor
 from ebjax.slam.describe import Described
 from ebjax.slam.keyframes import Load, describe_keyframes
+from ebjax.views.depth_floor import floor_planes
 from ebjax.views.run_view import RunView
 
+By = Literal["odometry", "depth", "floor"]
 PAIRS = 12
 GAPS = (1, 2, 4)
 WHEELS, WHEELS_M = 0.02, 0.003
@@ -28,6 +32,10 @@ CLEARLY = 1.5
 LEAST_DEG, KNOWN_DEG = 0.15, 0.5
 """A smaller lean is none; one that is not known so well is left out."""
 TOLERANCE_M = 0.01
+STRIDE = 4
+"""Rows and columns between the depth pixels that the floor is fitted to."""
+LEAST_KNOWN = 0.5
+"""Share of keyframes whose depth must show a floor."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,7 +50,7 @@ class Lean:
     """
 
     level_from_base: Float[np.ndarray, "F 4 4"]
-    by: Literal["odometry", "floor"]
+    by: By
     rms_deg: float
     agree: tuple[int, int]
 
@@ -56,21 +64,31 @@ class Lean:
     def says(self) -> str:
         """In one line."""
         used = "looked at accordingly" if self.used else "not used, as floor views agree worse with it"
-        what = "odometry's roll and pitch" if self.by == "odometry" else "the robot nods, as the floor views show"
+        what = {
+            "odometry": "odometry's roll and pitch",
+            "depth": "the robot nods, as the floor in the depth images shows",
+            "floor": "the robot nods, as the floor views show",
+        }[self.by]
         return (
             f"{what}, {self.rms_deg:.2f} degrees rms: {used} "
             f"({self.agree[0]} matches agree with it, {self.agree[1]} without)"
         )
 
 
+def used(lean: Lean | None) -> Float[np.ndarray, "F 4 4"] | None:
+    """level_from_base where it is used."""
+    return lean.level_from_base if lean is not None and lean.used else None
+
+
 @dataclasses.dataclass(frozen=True)
 class Look:
-    """Keyframes as they were looked at: their numbers, descriptions, and the camera and view that were believed."""
+    """Keyframes as they were looked at: numbers, descriptions, and the camera, view and lean that were believed."""
 
     keyframes: Int[np.ndarray, " N"]
     described: Described
     camera: Camera
     view: RunView
+    level_from_base: Float[np.ndarray, "F 4 4"] | None = None
 
 
 def shown_by_the_floor(
@@ -95,45 +113,79 @@ def shown_by_the_floor(
     return dataclasses.replace(found, lean=lean).level_from_base(frames, len(timestamps))
 
 
-def leaning(
-    by: Literal["odometry", "floor"],
-    load: Load,
-    frames: list[int],
-    level_from_base: Float[np.ndarray, "F 4 4"],
-    camera: Camera,
-    view: RunView,
-    extractor: Extractor,
-    descriptor: Descriptor,
-    seed: int,
-) -> Lean:
-    """Compares the pairs of successive frames between which the robot's lean changes most, with it and without."""
-    lean = np.degrees(np.arcsin(np.clip(level_from_base[:, 2, :2], -1, 1)))
-    seen = lean[frames]
-    change = np.linalg.norm(np.diff(seen, axis=0), axis=1)
-    firsts = np.sort(np.argsort(-change, kind="stable")[:PAIRS])
-    chosen = sorted({frames[k + side] for k in firsts.tolist() for side in (0, 1)})
-    rms_deg = float(np.sqrt((seen**2).sum(1).mean()))
-    chosen = [frame for frame in chosen if load(frame) is not None]
-    if len(chosen) < 2:
-        return Lean(level_from_base, by, rms_deg, (0, 0))
-    agree = []
-    for how in (level_from_base, None):
+def shown_by_depth(
+    load: Load, keyframes: Int[np.ndarray, " N"], camera: Camera, count: int
+) -> Float[np.ndarray, "F 4 4"] | None:
+    """How the robot leans at every keyframe, by the floor in its depth image; None where that is next to nothing."""
+    images = (load(frame) for frame in keyframes.tolist())
+    planes = floor_planes((None if image is None else image[1] for image in images), camera, stride=STRIDE)
+    known = np.isfinite(planes[:, 0])
+    if known.mean() < LEAST_KNOWN:
+        return None
+    up = planes[known, :3] @ np.asarray(camera.base_from_camera, np.float64)[:3, :3].T
+    level = levels_from_usual(up)
+    if np.degrees(np.sqrt((level[:, 2, :2] ** 2).sum(1).mean())) < LEAST_DEG:
+        return None
+    found = np.tile(np.eye(4), (count, 1, 1))
+    found[keyframes[known]] = level
+    return found
+
+
+@dataclasses.dataclass(frozen=True)
+class Asked:
+    """What floor views are made and compared with, to ask them about a lean."""
+
+    load: Load
+    camera: Camera
+    view_of: Callable[[Camera], RunView]
+    extractor: Extractor
+    descriptor: Descriptor
+    seed: int
+
+    def leaning(self, by: By, frames: list[int], level_from_base: Float[np.ndarray, "F 4 4"] | None) -> Lean | None:
+        """Compares the pairs of successive frames between which the lean changes most, with it and without.
+
+        Nothing where `by` says nothing of a lean.
+        """
+        if level_from_base is None:
+            return None
+        lean = np.degrees(np.arcsin(np.clip(level_from_base[:, 2, :2], -1, 1)))
+        seen = lean[frames]
+        change = np.linalg.norm(np.diff(seen, axis=0), axis=1)
+        firsts = np.sort(np.argsort(-change, kind="stable")[:PAIRS])
+        pairs = [(frames[k + 1], frames[k]) for k in firsts.tolist()]
+        chosen = [
+            frame for frame in sorted({frame for pair in pairs for frame in pair}) if self.load(frame) is not None
+        ]
+        rms_deg = float(np.sqrt((seen**2).sum(1).mean()))
+        if len(chosen) < 2:
+            return Lean(level_from_base, by, rms_deg, (0, 0))
+        agree = self._agree(chosen, pairs, level_from_base), self._agree(chosen, pairs, None)
+        return Lean(level_from_base, by, rms_deg, agree)
+
+    def _agree(
+        self, chosen: list[int], pairs: list[tuple[int, int]], level_from_base: Float[np.ndarray, "F 4 4"] | None
+    ) -> int:
+        """Matches of all pairs that agree to 1 cm, where the robot is looked at as it leans so."""
+        view = self.view_of(self.camera)
         read, described = describe_keyframes(
-            load, chosen, camera, view, extractor, descriptor, lambda items, total, label: iter(items), how
+            self.load, chosen, self.camera, view, self.extractor, self.descriptor, _silent, level_from_base
         )
         row = {frame: k for k, frame in enumerate(read.tolist())}
-        pairs = [(frames[k + 1], frames[k]) for k in firsts.tolist()]
         rows = np.array([(row[i], row[j]) for i, j in pairs if i in row and j in row], int).reshape(-1, 2)
         marks = described.landmarks
-        found = verify_blocks(
-            lambda a, b, _, marks=marks: (take(marks, a), take(marks, b)),
+        verified = verify_blocks(
+            lambda a, b, _: (take(marks, a), take(marks, b)),
             view,
-            camera,
+            self.camera,
             rows[:, 0],
             rows[:, 1],
             np.zeros(len(rows), bool),
             tolerance_m=TOLERANCE_M,
-            seed=seed,
-        )
-        agree.append(int(found[0].inliers.sum()))
-    return Lean(level_from_base, by, rms_deg, (agree[0], agree[1]))
+            seed=self.seed,
+        )[0]
+        return int(verified.inliers.sum())
+
+
+def _silent(items: Iterable, total: int, label: str) -> Iterator:
+    return iter(items)

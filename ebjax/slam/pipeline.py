@@ -154,7 +154,7 @@ def run(
     remember: Remember | None = None,
     odometry_at: Callable[[float], Float[np.ndarray, "F 3"]] | None = None,
     ignored: Bool[np.ndarray, "H W"] | None = None,
-    level_from_base: Float[np.ndarray, "F 4 4"] | None = None,
+    level_at: Callable[[float], Float[np.ndarray, "F 4 4"] | None] | None = None,
 ) -> Result:
     """Runs the pipeline on a whole sequence.
 
@@ -169,7 +169,8 @@ def run(
       remember: of a network's name and weights, gives what wraps its functions so that they look up what they know.
       odometry_at: (what is added to the images' stamps, s) -> odometry of every frame: the offset is then estimated.
       ignored: pixels of the image that are no world, such as the robot's own body.
-      level_from_base: how the robot leans at every frame, by odometry; used where the floor views agree.
+      level_at: (what is added to the images' stamps, s) -> how the robot leans at every frame, by odometry, None where
+        it does not say; used where the floor views agree.
 
     Raises:
       ValueError: fewer than two frames could be read; wheels are asked for and there is no odometry.
@@ -188,7 +189,7 @@ def run(
         chosen = remembered(chosen, remember(config.extractor, chosen.weights))
     if remember is not None and not place.jitted:
         place = dataclasses.replace(place, look=remember(config.descriptor, place.weights)(place.look))
-    recording = Recording(load, timestamps, odom_from_base, odometry_at, ignored, level_from_base)
+    recording = Recording(load, timestamps, odom_from_base, odometry_at, ignored, level_at)
     view_of = view if callable(view) else lambda _: view
     found = travel(recording, camera, view_of, chosen, place, config, progress, seconds)
     keyframes, described, path = found.keyframes, found.described, found.path

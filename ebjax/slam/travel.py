@@ -24,7 +24,7 @@ from ebjax.places.descriptor import Descriptor
 from ebjax.slam.describe import Described
 from ebjax.slam.follow import follow
 from ebjax.slam.keyframes import Load, Progress, describe_keyframes, moved_enough
-from ebjax.slam.lean import Lean, Look, leaning, shown_by_the_floor
+from ebjax.slam.lean import Asked, By, Lean, Look, shown_by_depth, shown_by_the_floor, used
 from ebjax.slam.path import Path, path_of_motion, path_of_wheels
 from ebjax.views.run_view import RunView, remounted_view
 
@@ -46,7 +46,7 @@ class Recording:
     odom_from_base: Float[np.ndarray, "F 3"] | None
     odometry_at: Callable[[float], Float[np.ndarray, "F 3"]] | None
     ignored: Bool[np.ndarray, "H W"] | None
-    level_from_base: Float[np.ndarray, "F 4 4"] | None = None
+    level_at: Callable[[float], Float[np.ndarray, "F 4 4"] | None] | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -93,7 +93,7 @@ class Travel:
         """The same, and the closures' matches, under the tilt and, where the robot nods, the leans that these tell."""
         assert self.motion is not None and self.given is not None
         motion = motion_with_closures(self.motion, self.given, matches, agree, config)
-        if self.lean is not None and self.lean.used and self.lean.by == "floor" and agree.any():
+        if self.lean is not None and self.lean.used and self.lean.by != "odometry" and agree.any():
             motion, matches = motion_of_nodding(motion, self.given, matches, agree, i, j, config)
         return (self if motion is self.motion else self.moved_to(motion)), matches
 
@@ -128,7 +128,7 @@ def travel(
         view = view_of(camera)
         found = describe_keyframes(recording.load, frames, camera, view, chosen, place, progress, level)
         seconds["describe"] = seconds.get("describe", 0.0) + time.perf_counter() - start
-        return Look(*found, camera, view)
+        return Look(*found, camera, view, level)
 
     def move(first: Look, level: Float[np.ndarray, "F 4 4"] | None) -> Travel:
         found = _moved(recording, first, floor_alone, config)
@@ -146,22 +146,44 @@ def travel(
         seen = look(camera, None)
         return Travel(seen.keyframes, seen.described, camera, seen.view, path_of_wheels(odometry, config.odometry))
     start = time.perf_counter()
-    through = chosen, place, config.seed
-    lean = None
-    if recording.level_from_base is not None:
-        lean = leaning("odometry", recording.load, frames, recording.level_from_base, camera, view_of(camera), *through)
-    level = lean.level_from_base if lean is not None and lean.used else None
-    first = look(camera, level)
-    found = move(first, level)
-    if lean is None and suspicious(found.motion):
-        wheels = None if floor_alone else odometry
-        shown = shown_by_the_floor(first, recording.timestamps, wheels, config.seed)
-        if shown is not None:
-            lean = leaning("floor", recording.load, first.keyframes.tolist(), shown, camera, first.view, *through)
-        if lean is not None and lean.used:
-            found = move(look(camera, lean.level_from_base), lean.level_from_base)
+    level_at = recording.level_at or (lambda _: None)
+    asked = Asked(recording.load, camera, view_of, chosen, place, config.seed)
+    lean = asked.leaning("odometry", frames, level_at(0.0))
+    first = look(camera, used(lean))
+    found = move(first, used(lean))
+    assert found.motion is not None
+    offset_s = found.motion.offset.offset_s
+    if used(lean) is None and suspicious(found.motion):
+        shown = nodding(recording, first, asked, None if floor_alone else odometry)
+        lean = shown or lean
+        if used(shown) is not None:
+            found = move(look(camera, used(shown)), used(shown))
+    elif lean is not None and offset_s:
+        later = level_at(offset_s)
+        if later is not None and apart_deg(later, lean.level_from_base) > LOOK_AGAIN_DEG:
+            lean = asked.leaning("odometry", frames, later)
+            found = move(look(camera, used(lean)), used(lean))
     seconds["motion"] = time.perf_counter() - start - seconds["describe"]
     return dataclasses.replace(found, lean=lean)
+
+
+def nodding(recording: Recording, seen: Look, asked: Asked, wheels: Float[np.ndarray, "F 3"] | None) -> Lean | None:
+    """How the robot leans by the depth images, else by the floor views; the first that the views agree with."""
+    lean, count = None, len(recording.timestamps)
+    ways: dict[By, Callable[[], Float[np.ndarray, "F 4 4"] | None]] = {
+        "depth": lambda: shown_by_depth(recording.load, seen.keyframes, seen.camera, count),
+        "floor": lambda: shown_by_the_floor(seen, recording.timestamps, wheels, asked.seed),
+    }
+    for by, shown in ways.items():
+        lean = asked.leaning(by, seen.keyframes.tolist(), shown()) or lean
+        if used(lean) is not None:
+            break
+    return lean
+
+
+def apart_deg(one: Float[np.ndarray, "F 4 4"], two: Float[np.ndarray, "F 4 4"]) -> float:
+    """How differently a robot leans in the one and the other, degrees, root mean square."""
+    return float(np.degrees(np.sqrt(((one - two)[:, 2, :2] ** 2).sum(1).mean())))
 
 
 def suspicious(motion: Motion | None) -> bool:
@@ -197,6 +219,7 @@ def _moved(recording: Recording, seen: Look, floor_alone: bool, config: "Pipelin
         wheels_at,
         recording.load,
         recording.ignored,
+        None if seen.level_from_base is None else seen.level_from_base[keyframes],
     )
     motion = fused_motion(given, camera, way[keyframes], steps)
     if motion.offset.offset_s and at is not None:

@@ -1,6 +1,7 @@
-"""The camera over the floor that depth images show."""
+"""The floor that depth images show, and the camera over it."""
 
 import dataclasses
+from collections.abc import Iterable
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +12,34 @@ from ebjax.geometry.camera import OUTSIDE_PX, Camera, backproject, ideal_from_ra
 from ebjax.geometry.plane import camera_from_plane, fit_ground_plane
 
 MIN_INLIERS = 0.1
+"""Share of an image's depth that must lie on the plane."""
+
+
+def floor_planes(
+    depths: Iterable[Float[np.ndarray, "H W"] | None], camera: Camera, *, stride: int = 2, seed: int = 0
+) -> Float[np.ndarray, "N 4"]:
+    """The floor that each depth image shows, (n, d) in the camera's frame; NaN where it shows none, or there is none.
+
+    Args:
+      depths: m, 0 or not finite where missing.
+      camera: of the images.
+      stride: every so many rows and columns count.
+      seed: of RANSAC.
+    """
+    rows, columns = np.mgrid[: camera.height : stride, : camera.width : stride]
+    pixels = ideal_from_raw(camera, jnp.asarray(np.stack([columns.ravel(), rows.ravel()], 1), jnp.float32))
+    shown = pixels[:, 0] > OUTSIDE_PX / 2
+    planes = []
+    for k, depth in enumerate(depths):
+        planes.append(np.full(4, np.nan))
+        if depth is None:
+            continue
+        values = jnp.where(shown, jnp.asarray(depth[::stride, ::stride].ravel(), jnp.float32), 0)
+        points = backproject(pixels, values, jnp.asarray(camera.intrinsics, jnp.float32))
+        plane, inliers = fit_ground_plane(points, values > 0, key=jax.random.key(seed + k))
+        if inliers.sum() >= MIN_INLIERS * max(int((values > 0).sum()), 1) and plane[3] > 0:
+            planes[-1] = np.asarray(plane, np.float64)
+    return np.array(planes).reshape(-1, 4)
 
 
 def camera_from_depth(
@@ -26,17 +55,9 @@ def camera_from_depth(
     Raises:
       ValueError: no image shows a floor.
     """
-    rows, columns = np.mgrid[: camera.height : 2, : camera.width : 2]
-    pixels = ideal_from_raw(camera, jnp.asarray(np.stack([columns.ravel(), rows.ravel()], 1), jnp.float32))
-    shown = pixels[:, 0] > OUTSIDE_PX / 2
-    planes = []
-    for k, depth in enumerate(depths):
-        values = jnp.where(shown, jnp.asarray(depth[::2, ::2].ravel(), jnp.float32), 0)
-        points = backproject(pixels, values, jnp.asarray(camera.intrinsics, jnp.float32))
-        plane, inliers = fit_ground_plane(points, values > 0, key=jax.random.key(seed + k))
-        if inliers.sum() >= MIN_INLIERS * max(int((values > 0).sum()), 1) and plane[3] > 0:
-            planes.append(np.asarray(plane, np.float64))
-    if not planes:
+    planes = floor_planes(depths, camera, seed=seed)
+    planes = planes[np.isfinite(planes[:, 0])]
+    if not len(planes):
         raise ValueError("no image shows a floor plane; check depth_scale in camera.json, or use --floor camera")
     plane = np.median(planes, axis=0)
     plane[:3] /= np.linalg.norm(plane[:3])

@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from ebjax.geometry.camera import Camera, field_of_view, image_from_floor
 from ebjax.geometry.homography import Arrays
+from ebjax.geometry.lean_numbers import levels, spread_deg, turned
 from ebjax.views.run_view import RunView
 
 LEAST_SPREAD_DEG = 0.02
@@ -36,14 +37,10 @@ def tilt_of_poses(odom_from_base: Float[np.ndarray, "F 4 4"]) -> Float[np.ndarra
     Planar odometry writes no tilt, and a tilt that never changes is the mount's. Where the path climbs, the floor does
     too: its slope over a metre of way is taken from the pitch.
     """
-    heading = np.arctan2(odom_from_base[:, 1, 0], odom_from_base[:, 0, 0])
-    level = _turned(2, -heading)[:, :3, :3] @ odom_from_base[:, :3, :3]
-    spread = np.degrees([np.ptp(np.arcsin(np.clip(level[:, 2, k], -1, 1))) for k in (0, 1)])
-    if max(spread) < LEAST_SPREAD_DEG:
+    level = levels(odom_from_base[:, 2, :3])
+    if spread_deg(level) < LEAST_SPREAD_DEG:
         return None
-    found = np.tile(np.eye(4), (len(level), 1, 1))
-    found[:, :3, :3] = level
-    return _turned(1, _slope(odom_from_base)) @ found
+    return turned(1, _slope(odom_from_base)) @ level
 
 
 def _slope(odom_from_base: Float[np.ndarray, "F 4 4"]) -> Float[np.ndarray, " F"]:
@@ -58,12 +55,3 @@ def _slope(odom_from_base: Float[np.ndarray, "F 4 4"]) -> Float[np.ndarray, " F"
     run = forward[after] - forward[before]
     steady = np.abs(run) > SLOPE_M
     return np.where(steady, np.arctan2(height[after] - height[before], np.where(steady, run, 1.0)), 0.0)
-
-
-def _turned(axis: int, angle: Float[np.ndarray, " F"]) -> Float[np.ndarray, "F 4 4"]:
-    """Rotations about x, y or z."""
-    c, s = np.cos(angle), np.sin(angle)
-    i, j = (axis + 1) % 3, (axis + 2) % 3
-    found = np.tile(np.eye(4), (len(angle), 1, 1))
-    found[:, i, i], found[:, i, j], found[:, j, i], found[:, j, j] = c, -s, s, c
-    return found

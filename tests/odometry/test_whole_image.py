@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from ebjax.geometry.camera import Camera, camera_over_floor
+from ebjax.geometry.lean_numbers import turned
 from ebjax.io.sequence import read_sequence
+from ebjax.odometry.image_corners import image_corners, levelled, with_depth
 from ebjax.odometry.image_matches import ImageFeatures, image_features, match_features, spread_rows
 from ebjax.odometry.whole_image import measure_motion
 
@@ -84,18 +86,58 @@ def test_floor_gives_all_of_the_motion(camera, motion):
     assert np.linalg.eigvalsh(found.covariance)[0] > 0
 
 
+def leant(camera, features, pitch_deg, roll_deg):
+    """Corners of a room, of known depth, as the camera of a robot that leans sees them."""
+    depth = depth_of(camera, features.keypoints, np.eye(4))[0]
+    pose = np.asarray(camera.base_from_camera, np.float64)
+    rays = np.column_stack([features.keypoints, np.ones(len(depth))]) @ np.linalg.inv(camera.intrinsics).T
+    points = np.column_stack([rays * depth[:, None], np.ones(len(depth))]) @ pose.T
+    pitch, roll = np.radians([[pitch_deg], [roll_deg]]).astype(float)
+    level_from_base = (turned(1, pitch) @ turned(0, roll))[0]
+    seen = points @ np.linalg.inv(level_from_base @ pose).T
+    pixels = (seen[:, :3] / seen[:, 2:3]) @ camera.intrinsics.T
+    return dataclasses.replace(features, keypoints=pixels[:, :2], depth_m=seen[:, 2]), level_from_base, depth
+
+
+@pytest.mark.parametrize("lean", [(1.0, 0.0), (0.0, -1.5), (-2.0, 1.0)])
+def test_corners_of_a_robot_that_leans_are_put_where_an_upright_one_would_see_them(camera, lean):
+    upright = two_views(camera, BEND)[1]
+    seen, level_from_base, depth = leant(camera, upright, *lean)
+    found = levelled(seen, camera, level_from_base)
+    np.testing.assert_allclose(found.keypoints, upright.keypoints, atol=1e-8)
+    np.testing.assert_allclose(found.depth_m, depth, atol=1e-9)
+    flat = levelled(dataclasses.replace(seen, depth_m=None), camera, level_from_base)
+    off = np.linalg.norm(flat.keypoints - upright.keypoints, axis=1)
+    moved = np.linalg.norm((level_from_base @ camera.base_from_camera - camera.base_from_camera)[:3, 3])
+    assert flat.depth_m is None and (off * depth < 1.5 * moved * camera.intrinsics[0, 0]).all()
+
+
+@pytest.mark.parametrize("floor, atol", [(True, 0.002), (False, 0.006)])
+def test_a_nod_while_the_whole_image_measures(camera, floor, atol):
+    later, earlier = two_views(camera, BEND, floor=floor)
+    seen, level_from_base, _ = leant(camera, earlier, 1.0, -0.5)
+    prior = np.array([0.25, 0.04, 0.27]), np.diag([0.05, 0.03, 0.05]) ** 2
+    found = measure_motion(
+        later, levelled(dataclasses.replace(seen, depth_m=None), camera, level_from_base), camera, prior
+    )
+    bent = measure_motion(later, dataclasses.replace(seen, depth_m=None), camera, prior)
+    assert found.ok and abs(found.i_from_j[2] - BEND[2]) < atol
+    assert abs(bent.i_from_j[2] - BEND[2]) > abs(found.i_from_j[2] - BEND[2])
+
+
 @pytest.mark.parametrize("motion", [BEND, SPIN])
 def test_depth_gives_all_of_it_from_walls(camera, motion):
     views = two_views(camera, motion, floor=False)
     depth_j, depth_i = depth_image(camera, np.eye(4)), depth_image(camera, np.linalg.inv(matrix(motion)))
     depth_i[:, :100] = 0
     depth_j[:40] = np.nan
-    found = measure_motion(*views, camera, depth_i, depth_j)
+    deep = with_depth(views[0], depth_i, camera), with_depth(views[1], depth_j, camera)
+    found = measure_motion(*deep, camera)
     assert found.kind == "depth" and found.ok
     np.testing.assert_allclose(found.i_from_j[:2], motion[:2], atol=0.01)
     assert abs(found.i_from_j[2] - motion[2]) < 0.001
     # One depth image alone says nothing.
-    assert measure_motion(*views, camera, depth_i).kind == "rotation"
+    assert measure_motion(deep[0], views[1], camera).kind == "rotation"
 
 
 @pytest.mark.parametrize("motion", [BEND, (AHEAD * (1 - np.cos(0.3)), -AHEAD * np.sin(0.3), 0.3)])
@@ -232,8 +274,8 @@ def test_the_turn_of_a_real_floor(data, depth):
     file = sequence.camera
     camera = Camera(file.intrinsics, file.base_from_camera, file.width, file.height)
     for i, j in ((76, 77), (84, 85), (84, 86), (90, 92)):
-        depths = (sequence.depth(i), sequence.depth(j)) if depth else ()
-        found = measure_motion(image_features(sequence.rgb(i)), image_features(sequence.rgb(j)), camera, *depths)
+        seen = [image_corners(sequence.rgb(k), sequence.depth(k) if depth else None, camera) for k in (i, j)]
+        found = measure_motion(*seen, camera)
         truth = np.linalg.inv(sequence.world_from_base[i]) @ sequence.world_from_base[j]
         assert found.ok and found.kind == ("depth" if depth else "floor")
         assert abs(np.degrees(found.i_from_j[2] - np.arctan2(truth[1, 0], truth[0, 0]))) < 0.2

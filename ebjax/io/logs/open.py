@@ -34,6 +34,8 @@ class Topics:
     """Of the odometry, nav_msgs/Odometry."""
     truth: str | None = None
     """Of the ground truth: it is read only where it is named."""
+    imu: str | None = None
+    """Of an IMU with orientation: its roll and pitch enter odometry that has none."""
 
 
 @dataclass(frozen=True)

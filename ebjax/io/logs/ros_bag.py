@@ -18,6 +18,7 @@ from ebjax.io.logs.ros_camera_info import calibration_from
 from ebjax.io.logs.ros_clock import clock
 from ebjax.io.logs.ros_collect import Collected, collect
 from ebjax.io.logs.ros_images import colour_from, images_of
+from ebjax.io.logs.ros_imu import leant_by_imu
 from ebjax.io.logs.ros_mount import mount
 from ebjax.io.logs.ros_odometry import odometry_from_tf, trajectory_of_base
 from ebjax.io.logs.ros_register import depth_decoder
@@ -102,6 +103,11 @@ class _Opening:
             self.notes += said
         if odometry is None:
             self.missing["odometry"] = GIVE["odometry"]
+        elif self.topics.imu is not None and len(self.found.poses[self.topics.imu]):
+            samples, (_, frame) = self.found.poses[self.topics.imu], self.found.frames[self.topics.imu]
+            imu, _ = samples.trajectory(self.name(self.topics.imu), self.by_receipt)
+            odometry, said = leant_by_imu(odometry, imu, frame, self.tree, base)
+            self.notes += said
         return odometry
 
 
@@ -112,8 +118,8 @@ def _times(bag: Bag, found: Collected, topics: Topics) -> dict[str, np.ndarray]:
         if channel is not None:
             table = found.rows_and_stamps(channel)
             times[bag.channels[channel].topic] = np.stack([table[:, 1], bag.time_ns[table[:, 0]]], axis=1)
-    for channel in (topics.odometry, topics.truth):
-        if channel is not None:
+    for channel in (topics.odometry, topics.truth, topics.imu):
+        if channel is not None and len(found.poses[channel]):
             times[bag.channels[channel].topic] = found.poses[channel].times_ns()
     if topics.odometry is None and found.moving:
         times["/tf"] = np.concatenate([samples.times_ns() for samples in found.moving.values()])
@@ -126,7 +132,7 @@ def open_bag(path: str | Path, *, topics: Mapping[str, str] | None = None) -> Lo
     Args:
       path: a .bag, .db3 or .mcap, also cut off or packed with zstd, or the folder of a ROS 2 bag.
       topics: role -> topic, where another topic is to be used than the one that is found; the roles are image, depth,
-        camera_info, odometry, truth. Ground truth is read only if it is named.
+        camera_info, odometry, truth, imu. Ground truth is read only if it is named.
 
     Raises:
       ValueError: no bag, no images in it, or a topic that is not there; names the file and the topics that are there.

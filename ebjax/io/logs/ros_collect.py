@@ -10,11 +10,13 @@ from jaxtyping import Int64
 from ebjax.io.logs.bag import Bag
 from ebjax.io.logs.ros_message import (
     HEAD,
+    IMU,
     POSES,
     CameraInfo,
     Cursor,
     camera_info_from,
     header_from,
+    orientation_from,
     pose_from,
     transforms_from,
 )
@@ -32,8 +34,8 @@ class Collected:
     Attributes:
       stamps: row and stamp, ns, of each image.
       infos: the different CameraInfo messages, and how often each occurs.
-      poses: of odometry and truth.
-      frames: parent and child frame of those poses.
+      poses: of odometry and truth; of an IMU, poses without a place.
+      frames: parent and child frame of those poses; of an IMU its own.
       static: tf that holds always.
       moving: tf that moves.
       broken: by topic, how many messages could not be read.
@@ -64,6 +66,11 @@ def _take(found: Collected, topics: Topics, bag: Bag, channel: int, row: int, co
         different = found.infos[channel]
         info, count = different.get(content[INFO_BODY:]) or (camera_info_from(content, encoding), 0)
         different[content[INFO_BODY:]] = (info, count + 1)
+    elif kind == IMU:
+        turned = orientation_from(content, encoding)
+        if turned is not None:
+            found.frames.setdefault(channel, ("", turned.header.frame_id))
+            found.poses[channel].add(turned.header.stamp_ns, received, turned.translation, turned.quaternion)
     elif kind in POSES:
         pose = pose_from(content, encoding, kind)
         found.frames.setdefault(channel, (pose.header.frame_id, pose.child))
@@ -78,7 +85,7 @@ def _take(found: Collected, topics: Topics, bag: Bag, channel: int, row: int, co
 def collect(bag: Bag, topics: Topics) -> Collected:
     """Reads the chosen topics; of images only the first bytes: most of an uncompressed bag is never read."""
     limits: dict[int, int | None] = {k: None for k in topics.tf}
-    for channel in (topics.camera_info, topics.depth_info, topics.odometry, topics.truth):
+    for channel in (topics.camera_info, topics.depth_info, topics.odometry, topics.truth, topics.imu):
         if channel is not None:
             limits[channel] = None
     for channel in (topics.image, topics.depth):

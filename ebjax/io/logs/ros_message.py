@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 IMAGE, COMPRESSED = "sensor_msgs/Image", "sensor_msgs/CompressedImage"
 CAMERA_INFO, ODOMETRY = "sensor_msgs/CameraInfo", "nav_msgs/Odometry"
-TRANSFORM = "geometry_msgs/TransformStamped"
+TRANSFORM, IMU = "geometry_msgs/TransformStamped", "sensor_msgs/Imu"
 POSES = (ODOMETRY, TRANSFORM, "geometry_msgs/PoseStamped", "geometry_msgs/PoseWithCovarianceStamped")
 TF = ("tf2_msgs/TFMessage", "tf/tfMessage")
 HEAD = 512
@@ -145,6 +145,15 @@ def transforms_from(content: bytes, encoding: str) -> list[Transform]:
         header, child = header_from(cursor), cursor.text().strip("/")
         transforms.append(Transform(header, child, *_pose(cursor)))
     return transforms
+
+
+def orientation_from(content: bytes, encoding: str) -> Transform | None:
+    """Reads an Imu as a pose without a place; None where it says that it has no orientation."""
+    cursor = Cursor(content, encoding)
+    header = header_from(cursor)
+    x, y, z, w = cursor.numbers("d", 4)
+    unknown = cursor.numbers("d", 9)[0] == -1
+    return None if unknown else Transform(header, "", (0.0, 0.0, 0.0), (w, x, y, z))
 
 
 def pose_from(content: bytes, encoding: str, kind: str) -> Transform:

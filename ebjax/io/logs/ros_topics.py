@@ -1,4 +1,4 @@
-"""Chooses among a bag's topics: the images, their CameraInfo, depth, odometry, ground truth, and tf."""
+"""Chooses among a bag's topics: the images, their CameraInfo, depth, odometry, ground truth, IMU, and tf."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -11,12 +11,14 @@ from ebjax.io.logs.ros_message import (
     COMPRESSED,
     HEAD,
     IMAGE,
+    IMU,
     ODOMETRY,
     POSES,
     TF,
     Image,
     camera_info_from,
     image_from,
+    orientation_from,
 )
 
 ROLES = {
@@ -25,6 +27,7 @@ ROLES = {
     "camera_info": (CAMERA_INFO,),
     "odometry": (ODOMETRY,),
     "truth": POSES,
+    "imu": (IMU,),
 }
 NO_PICTURE = ("disparity", "confidence", "mask", "thermal")
 INFRARED = ("infra", "/ir/", "ir_image", "/ir")
@@ -42,6 +45,7 @@ class Topics:
     depth_info: int | None
     odometry: int | None
     truth: int | None
+    imu: int | None
     tf: tuple[int, ...]
     frames: Mapping[int, str]
     notes: tuple[str, ...]
@@ -195,6 +199,30 @@ class _Chooser:
         self.say("odometry", chosen, found)
         return chosen
 
+    def imu(self) -> int | None:
+        """The IMU that says how it is turned; most say only how they are pushed."""
+        found = self.of(IMU)
+        chosen = self.given("imu")
+        if chosen is None:
+            turned = [k for k in found if self._is_turned(k)]
+            if not turned:
+                if found:
+                    names = ", ".join(sorted(self.topic(k) for k in found))
+                    self.notes.append(
+                        f"{self.bag.path}: {names}: without orientation, so roll and pitch are not taken from there"
+                    )
+                return None
+            chosen = min(turned, key=lambda k: (not self.topic(k).endswith("imu/data"), -self.counts[k], self.topic(k)))
+        self.say("roll and pitch", chosen, found)
+        return chosen
+
+    def _is_turned(self, channel: int) -> bool:
+        try:
+            content = self.bag.read(int(self.bag.rows(channel)[0]))
+            return orientation_from(content, self.bag.channels[channel].encoding) is not None
+        except ValueError:
+            return False
+
 
 def choose(bag: Bag, wanted: Mapping[str, str]) -> Topics:
     """Chooses the topics to read.
@@ -218,6 +246,7 @@ def choose(bag: Bag, wanted: Mapping[str, str]) -> Topics:
         depth_info=None if depth is None else chooser.info_of(depth),
         odometry=chooser.odometry(),
         truth=chooser.given("truth"),
+        imu=chooser.imu(),
         tf=tuple(chooser.of(*TF)),
         frames=chooser.frames,
         notes=tuple(chooser.notes),

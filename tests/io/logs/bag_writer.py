@@ -100,6 +100,17 @@ class BagWriter(AbstractContextManager):
         message = self.make("nav_msgs/msg/Odometry", self.header(stamp, "odom"), child, pose, twist)
         self.write(topic, "nav_msgs/msg/Odometry", message, stamp if received is None else received)
 
+    def imu(self, topic, stamp, quaternion, frame="imu_link", known=True):
+        w, x, y, z = quaternion
+        turned, still = (
+            self.make("geometry_msgs/msg/Quaternion", x, y, z, w),
+            self.make("geometry_msgs/msg/Vector3", 0.0, 0.0, 9.81),
+        )
+        covariance = np.zeros(9) if known else np.array([-1.0, *np.zeros(8)])
+        fields = turned, covariance, still, np.zeros(9), still, np.zeros(9)
+        message = self.make("sensor_msgs/msg/Imu", self.header(stamp, frame), *fields)
+        self.write(topic, "sensor_msgs/msg/Imu", message, stamp)
+
     def pose_stamped(self, topic, stamp, translation, yaw=0.0):
         pose = self.make("geometry_msgs/msg/Pose", *self.pose(translation, (np.cos(yaw / 2), 0, 0, np.sin(yaw / 2))))
         message = self.make("geometry_msgs/msg/PoseStamped", self.header(stamp, "map"), pose)
