@@ -1,4 +1,4 @@
-"""Pose graphs over SE(2) and SE(3): robust, sparse, differentiable."""
+"""Pose graphs over SE(2) and SE(3), with landmarks and priors: robust, sparse, differentiable."""
 
 from ebjax.posegraph.consistency import consistent_set
 from ebjax.posegraph.graph import PoseGraph, add_priors, make_graph

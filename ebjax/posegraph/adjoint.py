@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.custom_derivatives import SymbolicZero
 
-from ebjax.posegraph.assembly import assemble, matvec
+from ebjax.posegraph.assembly import assemble, matvec, numbers
 from ebjax.posegraph.factors import edge_costs, exact_blocks, gradient_change
 from ebjax.posegraph.gnc import GRADUATED, graduate
 from ebjax.posegraph.graph import PoseGraph
@@ -28,13 +28,14 @@ def optimum(
 ) -> tuple:
     """The fields of `minimise`'s solution, differentiable in params = (fixed poses, measured, information, width).
 
-    `rest` = (i, j, robust, structure, first width of `graduate`) has no derivative. The starting point has none either,
-    and neither have `initial_cost`, `iterations` and `status`. The derivative holds where the cost has a strict local
-    minimum and the steps have converged. Plain tuples, because JAX puts other things than arrays into the tangents.
+    `rest` = (i, j, robust, position, structure, first width of `graduate`) has no derivative. The starting point has
+    none either, and neither have `initial_cost`, `iterations` and `status`. The derivative holds where the cost has a
+    strict local minimum and the steps have converged. Plain tuples, because JAX puts other things than arrays into the
+    tangents.
     """
     poses, measured, information, width = params
-    i, j, robust, structure, first = rest
-    graph = PoseGraph(poses, i, j, measured, information, robust, structure.fixed, group)
+    i, j, robust, position, structure, first = rest
+    graph = PoseGraph(poses, i, j, measured, information, robust, structure.fixed, group, position)
     if kernel in GRADUATED:
         solution = graduate(graph, structure, kernel, width, first, max_steps, rtol, report)
     else:
@@ -45,9 +46,9 @@ def optimum(
 def _optimum_jvp(group, kernel, max_steps, rtol, report, primals, tangents):
     params, rest = primals
     solution = optimum(group, kernel, max_steps, rtol, report, params, rest)
-    i, j, robust, structure, _ = rest
-    graph = PoseGraph(params[0], i, j, params[1], params[2], robust, structure.fixed, group)
-    lie = graph.lie
+    i, j, robust, position, structure, _ = rest
+    graph = PoseGraph(params[0], i, j, params[1], params[2], robust, structure.fixed, group, position)
+    lie, free = graph.lie, structure.free
     fixed = jnp.asarray(graph.fixed)
     change = [None if isinstance(t, SymbolicZero) else t for t in tangents[0]]
     if change[0] is not None:
@@ -56,10 +57,10 @@ def _optimum_jvp(group, kernel, max_steps, rtol, report, primals, tangents):
     blocks, sensitivity = exact_blocks(graph, solution[0], kernel, params[3])
     gi, gj = gradient_change(graph, solution[0], kernel, params[3], sensitivity, change)
     right = jnp.zeros((len(fixed), lie.dim), gi.dtype).at[graph.i].add(gi).at[graph.j].add(gj)
-    system, _ = assemble(graph, structure.pattern, blocks, ~fixed)
+    system, _ = assemble(graph, structure.pattern, blocks, free)
     delta = jax.lax.custom_linear_solve(
         lambda x: matvec(system, structure.pattern, x),
-        jnp.where(fixed[:, None], 0, -right),
+        jnp.where(numbers(free), -right, 0),
         lambda _, b: linear_solve(structure, system, b),
         symmetric=True,
     )

@@ -1,7 +1,8 @@
 """From edge blocks to the symmetric block-sparse system H x = b, the shape every linear solver here takes.
 
 H has a d x d block per pose and one per pair of poses that share edges; a pair's block is stored once, in the
-orientation (first, second) that its solver wants. Fixed poses keep an identity block and no neighbours.
+orientation (first, second) that its solver wants. Fixed poses keep an identity block and no neighbours; so do single
+numbers of a tangent that are held, as the rotation of a landmark is.
 """
 
 from typing import NamedTuple
@@ -61,9 +62,9 @@ def make_pattern(
 
 
 def assemble(
-    graph: PoseGraph, pattern: Pattern, blocks: EdgeBlocks, free: Bool[Array, " N"]
+    graph: PoseGraph, pattern: Pattern, blocks: EdgeBlocks, free: Bool[Array, " N"] | Bool[Array, "N d"]
 ) -> tuple[System, Float[Array, "N d"]]:
-    """Sums edge blocks into H and edge gradients into the gradient of the free poses."""
+    """Sums edge blocks into H and edge gradients into the gradient of the free poses, or free numbers of a tangent."""
     n, d = free.shape[0], blocks.gi.shape[-1]
     dtype = blocks.gi.dtype
     gradient = jnp.zeros((n, d), dtype).at[graph.i].add(blocks.gi).at[graph.j].add(blocks.gj)
@@ -74,8 +75,17 @@ def assemble(
         ij = jnp.where(pattern.flipped[:, None, None], ij.swapaxes(-1, -2), ij)
     off = off.at[pattern.slot].add(ij, mode="drop")
     eye = jnp.broadcast_to(jnp.eye(d, dtype=dtype), diagonal.shape)
-    diagonal = jnp.where(free[:, None, None], diagonal, eye)
-    return System(diagonal, off), jnp.where(free[:, None], gradient, 0)
+    if free.ndim == 2:
+        diagonal = jnp.where(free[:, :, None] & free[:, None, :], diagonal, eye)
+        off = jnp.where(free[pattern.first][:, :, None] & free[pattern.second][:, None, :], off, 0)
+    else:
+        diagonal = jnp.where(free[:, None, None], diagonal, eye)
+    return System(diagonal, off), jnp.where(numbers(free), gradient, 0)
+
+
+def numbers(free: Bool[Array, " N"] | Bool[Array, "N d"]) -> Bool[Array, "N #d"]:
+    """The mask of rows or of their numbers, as one that goes with tangents."""
+    return free if free.ndim == 2 else free[:, None]
 
 
 def damped(system: System, damping: Float[Array, ""]) -> System:

@@ -22,7 +22,7 @@ from ebjax.posegraph import init
 from ebjax.posegraph.assembly import assemble, damped
 from ebjax.posegraph.factors import edge_costs, gauss_newton_blocks
 from ebjax.posegraph.g2o import read_g2o
-from ebjax.posegraph.graph import PoseGraph, make_graph
+from ebjax.posegraph.graph import PoseGraph, make_graph, poses_alone
 from ebjax.posegraph.levenberg import STATUS, Solution
 from ebjax.posegraph.linear import Structure, analyse, linear_solve
 from ebjax.posegraph.lm import compile_solve, solve
@@ -88,6 +88,8 @@ def graphs(paths: list[Path], solver: str, turns: int) -> Iterator[Row]:
     """A row per graph and kernel, from the file's start, or odometry where a reference.json beside it has no other."""
     for path in paths:
         graph, ids = read_g2o(path)
+        if poses_alone(graph) is not graph:
+            raise ValueError(f"{path}: landmarks and priors are not compared with gtsam; give graphs of poses alone")
         known = _references(path)
         start = "file" if not known or "file" in known["L2"] else "odometry"
         if start == "odometry":

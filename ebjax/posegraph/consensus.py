@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from ebjax.posegraph.consistency import Loops, all_cycles, cycle, largest_clique, make_loops
-from ebjax.posegraph.graph import PoseGraph
+from ebjax.posegraph.graph import PoseGraph, definite, loops_of, steps_of
 from ebjax.posegraph.init import odometry
 from ebjax.posegraph.robust import CHI2_99
 
@@ -44,7 +44,7 @@ def believed(graph: PoseGraph, rule: str) -> Believed:
     """
     if any(isinstance(x, jax.core.Tracer) for x in (graph.measured, graph.information, graph.robust)):
         raise ValueError(f"{rule} chooses loops on the host; call solve outside jit, vmap and grad, or use gnc-tls")
-    loop = np.asarray(graph.robust) & (np.abs(np.asarray(graph.i) - np.asarray(graph.j)) > 1)
+    loop = np.asarray(graph.robust) & loops_of(graph)
     kept = np.zeros_like(loop)
     if not loop.any():
         return Believed(loop, kept)
@@ -59,18 +59,26 @@ def believed(graph: PoseGraph, rule: str) -> Believed:
 
 def _loops(graph: PoseGraph, loop) -> Loops:
     """The loops over the odometry path; a gap in the odometry is a step that says nothing."""
-    poses = odometry(graph)
+    poses = odometry(graph)[: graph.pose_count]
     i, j, measured = (np.asarray(x) for x in (graph.i, graph.j, graph.measured))
-    covariance = np.linalg.inv(np.asarray(graph.information, float))
     extent = np.ptp(poses[:, -3:] if graph.group == "se3" else poses[:, :2], axis=0).max() + 1
+    covariance = _covariance(np.asarray(graph.information, float), extent)
     steps = np.tile(np.eye(graph.lie.dim) * extent**2, (len(poses) - 1, 1, 1))
-    chain = np.flatnonzero(~loop & (np.abs(i - j) == 1))
+    chain = np.flatnonzero(~loop & steps_of(graph))
     back = chain[i[chain] > j[chain]]
     ad = np.asarray(graph.lie.adjoint(jnp.asarray(measured[back])))
     turned = covariance.copy()
     turned[back] = ad @ covariance[back] @ ad.swapaxes(1, 2)
     steps[np.minimum(i, j)[chain]] = turned[chain]
     return make_loops(poses, steps, i[loop], j[loop], measured[loop], covariance[loop])
+
+
+def _covariance(information, extent):
+    """Inverse; where an edge says nothing, the error may be as large as the graph."""
+    if definite(information):
+        return np.linalg.inv(information)
+    values, vectors = np.linalg.eigh(information)
+    return (vectors / np.maximum(values, extent**-2)[:, None, :]) @ vectors.swapaxes(1, 2)
 
 
 def _confirmed(loops: Loops, dim: int) -> Bool[np.ndarray, " K"]:

@@ -1,7 +1,8 @@
 """What one edge contributes: residual r = log(measured^-1 * i_from_j), cost rho(r^T information r), gradient, Hessian.
 
-With A = world_from_i, B = world_from_j and perturbations on the right, dr/dB = Jr^-1(r) and
-dr/dA = -Jr^-1(r) Ad(j_from_i), so everything follows from one d x d product per edge.
+With A = world_from_i, B = world_from_j and perturbations on the right, dr/dB = J and dr/dA = -J Ad(j_from_i), so
+everything follows from one d x d product per edge. J is Jr^-1(r); of an edge that measures a position only, where
+r = (t, 0), t the translation of i_from_j less what was measured, J is [R, 0; 0, 0], R the rotation of i_from_j.
 """
 
 from collections.abc import Sequence
@@ -9,10 +10,12 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ebjax.geometry.lie import GROUPS
-from ebjax.geometry.small_angle import small_matmul
+from ebjax.geometry import se3
+from ebjax.geometry.lie import GROUPS, Group
+from ebjax.geometry.small_angle import small_matmul, stack_rows
 from ebjax.posegraph.graph import PoseGraph
 from ebjax.posegraph.robust import Width, rho, weight
 
@@ -31,11 +34,56 @@ _once = jax.lax.optimization_barrier  # fusion would compute sines and products 
 
 
 def edge_residual(
-    group: str, a: Float[Array, "*b P"], b: Float[Array, "*b P"], measured: Float[Array, "*b P"]
+    group: str,
+    a: Float[Array, "*b P"],
+    b: Float[Array, "*b P"],
+    measured: Float[Array, "*b P"],
+    position: Bool[Array | np.ndarray, "*b"] | None = None,
 ) -> Float[Array, "*b d"]:
-    """log(measured^-1 * a^-1 * b)."""
+    """log(measured^-1 * a^-1 * b), or where `position` how far b lies from where a sees it, then zeros."""
     lie = GROUPS[group]
-    return lie.log(lie.compose(lie.inverse(measured), lie.compose(lie.inverse(a), b)))
+    return _residual(lie, lie.compose(lie.inverse(a), b), measured, position)
+
+
+def _residual(lie: Group, i_from_j, measured, position):
+    if position is None:
+        return lie.log(lie.compose(lie.inverse(measured), i_from_j))
+    at = jnp.asarray(position)[..., None]
+    off = jnp.where(at, _translation(i_from_j) - _translation(measured), 0)
+    # Against itself the logarithm is smooth where nobody reads it.
+    r = lie.log(lie.compose(lie.inverse(jnp.where(at, i_from_j, measured)), i_from_j))
+    return jnp.where(at, _padded(off, lie.dim), r)
+
+
+def _translation(pose):
+    return pose[..., :2] if pose.shape[-1] == 3 else pose[..., 4:]
+
+
+def _padded(vector, size):
+    return jnp.concatenate([vector, jnp.zeros_like(vector, shape=(*vector.shape[:-1], size - vector.shape[-1]))], -1)
+
+
+def _corner(matrix, size):
+    """The matrix as the first block of one of `size`, zeros elsewhere."""
+    room = size - matrix.shape[-1]
+    return jnp.pad(matrix, [(0, 0)] * (matrix.ndim - 2) + [(0, room), (0, room)])
+
+
+def _turn(pose):
+    if pose.shape[-1] == 7:
+        return se3.rotation(pose)
+    c, s = jnp.cos(pose[..., 2]), jnp.sin(pose[..., 2])
+    return stack_rows([c, -s], [s, c])
+
+
+def _cross(a, size):
+    """Derivative of R^T f by a rotation behind R, a = R^T f: [a] in the columns of the rotation, zeros elsewhere."""
+    zero = jnp.zeros_like(a[..., 0])
+    if size == 3:
+        return stack_rows([zero, zero, a[..., 1]], [zero, zero, -a[..., 0]], [zero, zero, zero])
+    x, y, z, none = a[..., 0], a[..., 1], a[..., 2], [zero] * 3
+    rows = [[*none, zero, -z, y], [*none, z, zero, -x], [*none, -y, x, zero]]
+    return stack_rows(*rows, *[[zero] * 6] * 3)
 
 
 def _quadratic(r, information):
@@ -44,7 +92,7 @@ def _quadratic(r, information):
 
 def squared_residuals(graph: PoseGraph, poses: Float[Array, "N P"]) -> Float[Array, " E"]:
     """r^T information r of every edge at `poses`, the squared Mahalanobis distances."""
-    r = edge_residual(graph.group, poses[graph.i], poses[graph.j], jnp.asarray(graph.measured))
+    r = edge_residual(graph.group, poses[graph.i], poses[graph.j], jnp.asarray(graph.measured), graph.position)
     return _quadratic(r, jnp.asarray(graph.information))
 
 
@@ -59,11 +107,15 @@ def _mv(a, b):
 
 
 def _terms(graph, poses):
-    """i_from_j, residual, transposed Jacobian of the log, and transposed adjoint of j_from_i, per edge."""
+    """i_from_j, residual, its transposed Jacobian by pose j, and transposed adjoint of j_from_i, per edge."""
     lie = graph.lie
     i_from_j = _once(lie.compose(lie.inverse(poses[graph.i]), poses[graph.j]))
-    r = _once(lie.log(lie.compose(lie.inverse(jnp.asarray(graph.measured)), i_from_j)))
-    jb_t = _once(lie.log_jacobian(r).swapaxes(-1, -2))
+    r = _once(_residual(lie, i_from_j, jnp.asarray(graph.measured), graph.position))
+    jb_t = lie.log_jacobian(r).swapaxes(-1, -2)
+    if graph.position is not None:
+        turned_back = _corner(_turn(i_from_j).swapaxes(-1, -2), lie.dim)
+        jb_t = jnp.where(jnp.asarray(graph.position)[:, None, None], turned_back, jb_t)
+    jb_t = _once(jb_t)
     return i_from_j, r, jb_t, _once(lie.adjoint(lie.inverse(i_from_j)).swapaxes(-1, -2))
 
 
@@ -107,7 +159,10 @@ def _spread(jj, cross, ad_t, gj):
 
 
 class Sensitivity(NamedTuple):
-    """What `gradient_change` shares with `exact_blocks`, per edge: g_j = jb_t force(r), and its derivative by r."""
+    """What `gradient_change` shares with `exact_blocks`, per edge: g_j = jb_t force(r), and its derivative by pose j.
+
+    `by_r`, the derivative by the residual alone, is there if edges measure positions.
+    """
 
     i_from_j: Float[Array, "E P"]
     r: Float[Array, "E d"]
@@ -116,7 +171,8 @@ class Sensitivity(NamedTuple):
     bend: Float[Array, " E"]
     jb_t: Float[Array, "E d d"]
     ad_t: Float[Array, "E d d"]
-    by_r: Float[Array, "E d d"]
+    by_j: Float[Array, "E d d"]
+    by_r: Float[Array, "E d d"] | None
     gj: Float[Array, "E d"]
 
 
@@ -125,9 +181,9 @@ def exact_blocks(
 ) -> tuple[EdgeBlocks, Sensitivity]:
     """Blocks of the true Hessian of half the cost, the curvature of the kernel and of the residual included.
 
-    With g(r) = Jr^-T rho' information r the gradient at pose j, the Hessian there is the symmetric part of
-    dg/dr Jr^-1, whose other part is minus half of the bracket g . [u, v] of two perturbations; between i and j the
-    bracket adds half of its matrix.
+    With g = J^T rho' information r the gradient at pose j, the Hessian there is the symmetric part of its derivative by
+    pose j, whose other part is minus half of the bracket g . [u, v] of two perturbations; between i and j the bracket
+    adds half of its matrix.
     """
     lie = graph.lie
     i_from_j, r, jb_t, ad_t = _terms(graph, poses)
@@ -137,18 +193,21 @@ def exact_blocks(
     force = _once(scale[:, None] * pulled)
     metric = graph.information * scale[:, None, None]
     metric = _once(metric + 2 * bend[:, None, None] * pulled[:, :, None] * pulled[:, None, :])
-    by_r = _once(lie.log_jacobian_turn(r, force) + small_matmul(jb_t, metric))
-    jj = _once(small_matmul(by_r, jb_t.swapaxes(-1, -2)))
+    by_r = _once(small_matmul(jb_t, metric))
+    turned = lie.log_jacobian_turn(r, force)
     gj = _once(_mv(jb_t, force))
+    if graph.position is None:
+        by_j = small_matmul(_once(turned + by_r), jb_t.swapaxes(-1, -2))
+    else:
+        at = jnp.asarray(graph.position)[:, None, None]
+        by_j = small_matmul(_once(jnp.where(at, 0, turned) + by_r), jb_t.swapaxes(-1, -2))
+        by_j = by_j + jnp.where(at, _cross(gj, lie.dim), 0)
+    jj = _once(by_j)
     halves = jnp.asarray(lie.bracket / 2, r.dtype)[None]
     bracket = sum(halves[..., m] * gj[:, m, None, None] for m in range(lie.dim))
     blocks = _spread(_once(jj + bracket), _once(jj + 2 * bracket), ad_t, gj)
-    return blocks, Sensitivity(i_from_j, r, pulled, scale, bend, jb_t, ad_t, by_r, gj)
-
-
-def _left(at, tangent):
-    """Change of the residual if exp(tangent) stands in front of i_from_j: what it is behind it, Jr^-1 Ad(j_from_i)."""
-    return _mv(at.jb_t.swapaxes(-1, -2), _mv(at.ad_t.swapaxes(-1, -2), tangent))
+    by_r = None if graph.position is None else by_r
+    return blocks, Sensitivity(i_from_j, r, pulled, scale, bend, jb_t, ad_t, jj, by_r, gj)
 
 
 def gradient_change(
@@ -161,21 +220,26 @@ def gradient_change(
 ) -> tuple[Float[Array, "E d"], Float[Array, "E d"]]:
     """Derivative of both gradients of every edge, linear in `change` of poses, measured, information and width.
 
-    None is no change. g_i = -Ad^T g_j; what changes the residual goes through `Sensitivity.by_r`. In front of measured
-    a tangent does the opposite of what it does in front of i_from_j.
+    None is no change. g_i = -Ad^T g_j; exp(tangent) in front of i_from_j is exp(Ad(j_from_i) tangent) behind it, as if
+    pose j moved. In front of measured a tangent does the opposite; a measured position changes the residual alone.
     """
     lie = graph.lie
     d_poses, d_measured, d_information, d_width = change
     measured = jnp.asarray(graph.measured)
-    gi_dot, r_dot = jnp.zeros_like(at.gj), jnp.zeros_like(at.r)
+    gi_dot, gj_dot, front = jnp.zeros_like(at.gj), jnp.zeros_like(at.gj), jnp.zeros_like(at.r)
     if d_poses is not None:
         _, moved = jax.jvp(lambda x: lie.compose(lie.inverse(x[graph.i]), x[graph.j]), (poses,), (d_poses,))
         _, ad_dot = jax.jvp(lambda x: lie.adjoint(lie.inverse(x)), (at.i_from_j,), (moved,))
         gi_dot -= _mv(ad_dot.swapaxes(-1, -2), at.gj)
-        r_dot += _left(at, lie.left_tangent(at.i_from_j, moved))
+        front += lie.left_tangent(at.i_from_j, moved)
     if d_measured is not None:
-        r_dot -= _left(at, lie.left_tangent(measured, d_measured))
-    gj_dot = _mv(at.by_r, r_dot)
+        against = lie.left_tangent(measured, d_measured)
+        if at.by_r is not None:
+            places = jnp.asarray(graph.position)[:, None]
+            against = jnp.where(places, 0, against)
+            gj_dot -= _mv(at.by_r, jnp.where(places, _padded(_translation(d_measured), lie.dim), 0))
+        front -= against
+    gj_dot += _mv(at.by_j, _mv(at.ad_t.swapaxes(-1, -2), front))
     if d_information is not None:
         d_pulled = _mv(d_information, at.r)
         d_scale = at.bend * jnp.sum(at.r * d_pulled, -1)

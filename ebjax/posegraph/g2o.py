@@ -1,174 +1,126 @@
-"""g2o (and TORO) pose-graph files: text to `PoseGraph` and back. Host code; nothing is written here.
+"""g2o pose-graph files, of every program that writes them, and TORO's: text to `PoseGraph` and back. Host code.
 
-    VERTEX_SE2 id x y theta                 EDGE_SE2 i j dx dy dtheta I11 I12 I13 I22 I23 I33
-    VERTEX_SE3:QUAT id x y z qx qy qz qw    EDGE_SE3:QUAT i j, pose, 21 numbers: upper triangle of the information
-    FIX id [id ...]                         # comment
-    VERTEX2, EDGE2 (TORO)                   as SE2, the information in the order I11 I12 I22 I33 I13 I23
+    VERTEX_SE2 id x y theta                  EDGE_SE2 i j dx dy dtheta I11 I12 I13 I22 I23 I33
+    VERTEX_SE3:QUAT id x y z qx qy qz qw     EDGE_SE3:QUAT i j, pose, 21 numbers: upper triangle of the information
+    VERTEX_XY id x y                         EDGE_SE2_XY i j x y + 3: a landmark, seen from pose i
+    VERTEX_TRACKXYZ id x y z                 EDGE_SE3_TRACKXYZ i j offset x y z + 6
+    EDGE_PRIOR_SE2 i x y theta + 6           EDGE_SE3_PRIOR i offset, pose + 21: where pose i lies in the world
+    EDGE_PRIOR_SE2_XY i x y + 3              EDGE_POINTXYZ_PRIOR i x y z + 6: its position alone
+    PARAMS_SE3OFFSET id, pose                a sensor's offset, base_from_sensor
+    FIX id [id ...]                          # comment
 
-Units m and rad. Ids may be sparse and unsorted: rows follow the vertices' order in the file, ids are kept beside them.
+All that is read stands in `ebjax.posegraph.g2o_tags`. Units m and rad. Ids may be sparse and unsorted: rows follow the
+vertices' order in the file, landmarks behind poses, ids are kept beside them. Decimal commas, gzip, a byte order mark,
+tags in lower case and quaternions of any length are taken.
+
+Information is of the residual log(measured^-1 * i_from_j). In 2D all programs mean that, to first order. In 3D g2o's
+own error is (t, q), q the vector part of the quaternion, half of the rotation vector w: information I of (t, q) is
+S I S of (t, w), S = diag(1, 1, 1, 1/2, 1/2, 1/2). gtsam, Ceres and most public data sets write the same lines with
+information of (t, w). So `information` "auto" reads files with priors or landmarks, which only g2o's programs write, as
+"g2o", all others as "gtsam"; graphs are written in the terms in which they are read. TORO's EDGE3 has (w, t).
 """
 
 import warnings
-from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from ebjax.posegraph.graph import PoseGraph, make_graph
-from ebjax.posegraph.init import odometry, spanning_tree
+from ebjax.posegraph.g2o_build import build
+from ebjax.posegraph.g2o_information import rotation_scale
+from ebjax.posegraph.g2o_lines import parse_lines, read_text
+from ebjax.posegraph.graph import PoseGraph
 
-_VERTICES = {"VERTEX_SE2": 3, "VERTEX_SE3:QUAT": 7, "VERTEX2": 3}
-_EDGES = {"EDGE_SE2": (3, 6), "EDGE_SE3:QUAT": (7, 21), "EDGE2": (3, 6)}
 
+def read_g2o(path: str | PathLike, *, information: str = "auto") -> tuple[PoseGraph, Int[np.ndarray, " N"]]:
+    """Reads a graph in float64 and the ids of its poses, then landmarks.
 
-def read_g2o(path: str | PathLike) -> tuple[PoseGraph, Int[np.ndarray, " N"]]:
-    """Reads a graph in float64 and the ids of its rows.
+    Every edge is marked robust; FIX sets `fixed`. Where the file has priors, one more row stands behind those with ids:
+    the world. Vertices that only edges name start where the fewest edges put them, from those that are given, with a
+    warning, and rows are then ordered by id; without any vertex the start is odometry. What is guessed or left out is a
+    warning.
 
-    Every edge is marked robust; FIX sets `fixed`. Vertices that only edges name start where the fewest edges put them,
-    from those that are given, with a warning, and rows are then ordered by id; without any vertex the start is
-    odometry. Lines that carry no constraint (PARAMS_..., comments) are skipped.
+    Args:
+      path: the file, also packed by gzip.
+      information: "g2o", "gtsam" or "auto": what information of 3D rotations is of; see the module.
 
     Raises:
+      OSError: the file cannot be read.
       ValueError: names the file, the line and what to do about it.
     """
-    return parse_g2o(Path(path).read_text(errors="replace"), str(path))
+    return parse_g2o(read_text(Path(path)), str(path), information=information)
 
 
-def parse_g2o(text: str, name: str = "g2o text") -> tuple[PoseGraph, Int[np.ndarray, " N"]]:
+def parse_g2o(
+    text: str, name: str = "g2o text", *, information: str = "auto"
+) -> tuple[PoseGraph, Int[np.ndarray, " N"]]:
     """As `read_g2o`, from a string; `name` stands for the file in errors."""
-    vertices: dict[int, list[float]] = {}
-    edges: list[tuple[int, int, int]] = []
-    numbers: list[list[float]] = []
-    fixes: list[tuple[int, int]] = []
-    size, seen = 0, ""
-    for line, row in enumerate(text.splitlines(), 1):
-        tokens = row.split()
-        tag = tokens[0] if tokens else "#"
-        if tag in _EDGES or tag in _VERTICES:
-            width, extra, ids = (*_EDGES[tag], 2) if tag in _EDGES else (_VERTICES[tag], 0, 1)
-            if size and width != size:
-                raise ValueError(f"{name}:{line}: {tag} in a graph of {seen}; keep one of SE2 and SE3 per file")
-            size, seen = width, tag
-            if len(tokens) != 1 + ids + width + extra:
-                raise ValueError(
-                    f"{name}:{line}: {tag} has {len(tokens) - 1} numbers, needs {ids + width + extra}; "
-                    "restore the line or delete it"
-                )
-            try:
-                key = [int(t) for t in tokens[1 : 1 + ids]]
-                values = [float(t) for t in tokens[1 + ids :]]
-            except ValueError:
-                raise ValueError(
-                    f"{name}:{line}: {tag} holds something that is not a number; correct the line"
-                ) from None
-            if ids == 2:
-                edges.append((key[0], key[1], line))
-                numbers.append(_from_toro(values) if tag == "EDGE2" else values)
-            elif vertices.setdefault(key[0], values) is not values:
-                raise ValueError(f"{name}:{line}: vertex {key[0]} appears twice; delete one of the two lines")
-            elif not np.isfinite(values).all():
-                raise ValueError(f"{name}:{line}: {tag} {key[0]} is not finite; correct the line")
-        elif tag == "FIX":
-            try:
-                fixes += [(int(t), line) for t in tokens[1:]]
-            except ValueError:
-                raise ValueError(f"{name}:{line}: FIX takes vertex ids; correct the line") from None
-        elif tag.startswith(("EDGE", "VERTEX")):
-            known = ", ".join([*_VERTICES, *_EDGES])
-            raise ValueError(f"{name}:{line}: {tag} is not supported (known: {known}); delete or convert such lines")
-    if not seen:
-        raise ValueError(f"{name}: holds no vertices and no edges; give a g2o file")
-    return _build(name, size, vertices, edges, np.array(numbers, float), fixes)
+    found = parse_lines(text, name)
+    graph, ids = build(found, information)
+    for note in found.notes:
+        warnings.warn(f"{name}: {note}", stacklevel=3)
+    return graph, ids
 
 
-def _from_toro(values):
-    x, y, t, i11, i12, i22, i33, i13, i23 = values
-    return [x, y, t, i11, i12, i13, i22, i23, i33]
+def format_g2o(graph: PoseGraph, ids: Int[np.ndarray, " M"] | None = None, *, information: str = "auto") -> str:
+    """The graph as g2o text, numbers at full float64 precision; ids are row numbers where not given.
 
-
-def _build(name, size, vertices, edges, numbers, fixes):
-    dim = 3 if size == 3 else 6
-    numbers = numbers.reshape(len(edges), size + dim * (dim + 1) // 2)
-    lines = [line for _, _, line in edges]
-    named = vertices.keys() | {p for a, b, _ in edges for p in (a, b)}
-    ids = list(vertices) if len(named) == len(vertices) else sorted(named)
-    row = {p: k for k, p in enumerate(ids)}
-    for a, b, line in edges:
-        if a == b:
-            raise ValueError(f"{name}:{line}: edge joins vertex {a} with itself; delete the line")
-    bad = ~np.isfinite(numbers).all(1)
-    if bad.any():
-        raise ValueError(
-            f"{name}:{lines[int(np.argmax(bad))]}: edge holds a number that is not finite; correct the line"
-        )
-    upper = np.zeros((len(edges), dim, dim))
-    upper[(slice(None), *np.triu_indices(dim))] = numbers[:, size:]
-    information = upper + np.triu(upper, 1).swapaxes(1, 2)
-    if len(edges):
-        bad = np.linalg.eigvalsh(information)[:, 0] <= 0
-        if bad.any():
-            more = f" (and in {bad.sum() - 1} more edges)" if bad.sum() > 1 else ""
-            raise ValueError(
-                f"{name}:{lines[int(np.argmax(bad))]}: information matrix is not positive definite{more}; "
-                "give every edge a full inverse covariance"
-            )
-    known, nowhere = np.array([p in vertices for p in ids]), [0.0] * (size - 1) + [float(size == 7)]
-    poses = _from_file(np.array([vertices.get(p, nowhere) for p in ids]), size)
-    if size == 7:
-        norms = np.linalg.norm(numbers[:, 3:7], axis=1)
-        if (norms < 1e-3).any():
-            raise ValueError(f"{name}:{lines[int(np.argmax(norms < 1e-3))]}: quaternion is zero; correct the line")
-        if (np.linalg.norm(poses[:, :4], axis=1) < 1e-3).any() or not np.isfinite(poses).all():
-            k = int(np.argmax(~(np.linalg.norm(poses[:, :4], axis=1) >= 1e-3)))
-            raise ValueError(f"{name}: vertex {ids[k]} has a zero quaternion; correct its line")
-    fixed = np.zeros(len(ids), bool)
-    for p, line in fixes:
-        if p not in row:
-            raise ValueError(f"{name}:{line}: FIX names vertex {p}, which the file does not hold; delete the line")
-        fixed[row[p]] = True
-    i, j = (np.array([row[e[k]] for e in edges], np.int64) for k in (0, 1))
-    graph = make_graph(poses, i, j, _from_file(numbers[:, :size], size), information, fixed=fixed)
-    if not vertices:
-        graph = replace(graph, poses=odometry(graph))
-    elif not known.all():
-        first = ids[int(np.argmin(known))]
-        more = f" and {len(ids) - known.sum() - 1} more" if known.sum() < len(ids) - 1 else ""
-        warnings.warn(f"{name}: no VERTEX line for {first}{more}; they start where the edges put them", stacklevel=3)
-        graph = replace(graph, poses=spanning_tree(replace(graph, fixed=known)))
-    return graph, np.array(ids, np.int64)
-
-
-def _from_file(values, size):
-    """Translation, xyzw to our order: x y theta stays, wxyz_xyz for SE(3) with unit quaternions."""
-    values = values.reshape(-1, size)
-    if size == 3:
-        return values
-    q = values[:, [6, 3, 4, 5]]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        q = q / np.linalg.norm(q, axis=1, keepdims=True)
-    return np.concatenate([q, values[:, :3]], 1)
-
-
-def format_g2o(graph: PoseGraph, ids: Int[np.ndarray, " N"] | None = None) -> str:
-    """The graph as g2o text, numbers at full float64 precision; ids are row numbers where not given."""
-    ids = np.arange(len(graph.poses)) if ids is None else ids
-    se2 = graph.group == "se2"
-    tag = "SE2" if se2 else "SE3:QUAT"
-    poses, measured = (_to_file(np.asarray(x, float), se2) for x in (graph.poses, graph.measured))
-    information = np.asarray(graph.information, float)
-    upper = information[(slice(None), *np.triu_indices(information.shape[-1]))]
-    i, j = ids[np.asarray(graph.i)], ids[np.asarray(graph.j)]
-    out = [f"VERTEX_{tag} {p} {_text(x)}" for p, x in zip(ids.tolist(), poses.tolist(), strict=True)]
-    out += [f"FIX {p}" for p in ids[np.asarray(graph.fixed)].tolist()]
-    rows = np.concatenate([measured, upper], 1).tolist()
-    out += [f"EDGE_{tag} {a} {b} {_text(x)}" for a, b, x in zip(i.tolist(), j.tolist(), rows, strict=True)]
+    Offsets of sensors are written as part of the measurements they were of.
+    """
+    world = len(graph.poses) - 1 if graph.world else -1
+    rows = len(graph.poses) - graph.world
+    ids = np.arange(rows) if ids is None else np.asarray(ids)
+    planar = graph.group == "se2"
+    point = np.zeros(rows, bool) if graph.landmark is None else np.asarray(graph.landmark)[:rows]
+    position = np.zeros(len(graph.i), bool) if graph.position is None else np.asarray(graph.position)
+    scale = rotation_scale(information, planar, graph.world or bool(point.any()))
+    poses, measured = (_to_file(np.asarray(x, float), planar) for x in (graph.poses, graph.measured))
+    matrices = np.asarray(graph.information, float) / _squared(scale, graph.lie.dim)
+    space = graph.lie.dim // 3 + 1
+    upper = matrices[(slice(None), *np.triu_indices(graph.lie.dim))].tolist()
+    corner = matrices[(slice(None), *np.triu_indices(space))].tolist()
+    vertex, landmark = ("VERTEX_SE2", "VERTEX_XY") if planar else ("VERTEX_SE3:QUAT", "VERTEX_TRACKXYZ")
+    offset = "" if planar else " 0"
+    out = ["PARAMS_SE3OFFSET 0 0 0 0 0 0 0 1"] if not planar and position.any() | graph.world else []
+    for p, x, is_point in zip(ids.tolist(), poses[:rows].tolist(), point.tolist(), strict=True):
+        out.append(f"{landmark} {p} {_text(x[:space])}" if is_point else f"{vertex} {p} {_text(x)}")
+    out += [f"FIX {p}" for p in ids[np.asarray(graph.fixed)[:rows]].tolist()]
+    edges = (np.asarray(x).tolist() for x in (graph.i, graph.j, position, measured))
+    for k, (i, j, place, z) in enumerate(zip(*edges, strict=True)):
+        numbers = _text(z[:space] + corner[k] if place else z + upper[k])
+        if i == world:
+            out.append(f"{_prior(planar, place, point[j])} {ids[j]}{_offset_of(planar, place, point[j])} {numbers}")
+        elif place and point[i]:
+            out.append(f"{'EDGE_POINTXY' if planar else 'EDGE_POINTXYZ'} {ids[i]} {ids[j]} {numbers}")
+        elif place:
+            out.append(f"{'EDGE_SE2_XY' if planar else 'EDGE_SE3_TRACKXYZ'} {ids[i]} {ids[j]}{offset} {numbers}")
+        else:
+            out.append(f"{'EDGE_SE2' if planar else 'EDGE_SE3:QUAT'} {ids[i]} {ids[j]} {numbers}")
     return "\n".join(out) + "\n"
 
 
-def _to_file(values: Float[np.ndarray, "N P"], se2: bool):
-    return values if se2 else values[:, [4, 5, 6, 1, 2, 3, 0]]
+def _prior(planar, place, point):
+    if not place:
+        return "EDGE_PRIOR_SE2" if planar else "EDGE_SE3_PRIOR"
+    if planar:
+        return "EDGE_PRIOR_XY" if point else "EDGE_PRIOR_SE2_XY"
+    return "EDGE_POINTXYZ_PRIOR" if point else "EDGE_SE3_XYZ_PRIOR"
+
+
+def _offset_of(planar, place, point):
+    """g2o's priors on 3D poses name an offset, priors on points and planar ones do not."""
+    return "" if planar or (place and point) else " 0"
+
+
+def _squared(scale, dim):
+    by = np.ones(dim)
+    by[dim // 2 :] = scale if dim == 6 else 1
+    return by[:, None] * by
+
+
+def _to_file(values: Float[np.ndarray, "N P"], planar: bool):
+    return values if planar else values[:, [4, 5, 6, 1, 2, 3, 0]]
 
 
 def _text(row):

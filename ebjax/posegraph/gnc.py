@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from ebjax.posegraph.assembly import numbers
 from ebjax.posegraph.factors import edge_costs, squared_residuals
 from ebjax.posegraph.graph import PoseGraph
 from ebjax.posegraph.levenberg import Solution, minimise
@@ -60,7 +61,7 @@ def graduate(
     final = jnp.broadcast_to(jnp.asarray(width, start.dtype), robust.shape)
     hard = final if first is None else first
     widths = jnp.stack([jnp.full_like(final, jnp.sqrt(limits.max) / 2), hard, hard, final])
-    freedom = graph.lie.dim * (robust.size - jnp.sum(~jnp.asarray(graph.fixed)))
+    freedom = _numbers(graph) - jnp.sum(jnp.broadcast_to(numbers(structure.free), (len(start), graph.lie.dim)))
 
     def worst(poses, width):
         """The largest squared residual of a robust edge that counts, in squared widths."""
@@ -101,3 +102,11 @@ def graduate(
         state = _State(begin, zero, none + _FIT, jnp.asarray(False))
     end = jax.lax.while_loop(lambda state: state.stage < _DONE, step, state)
     return replace(end.found, status=jnp.where(end.short & (end.found.status == 0), 1, end.found.status))
+
+
+def _numbers(graph):
+    """Of all residuals together."""
+    whole = graph.lie.dim * graph.i.shape[0]
+    if graph.position is None:
+        return whole
+    return whole - (graph.lie.dim - graph.lie.dim // 3 - 1) * jnp.sum(jnp.asarray(graph.position))

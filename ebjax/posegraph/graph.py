@@ -1,7 +1,12 @@
 """The pose graph: poses, relative measurements between them, and which poses stay where they are.
 
 Row k of the edges says: poses[j_k] seen from poses[i_k] is measured_k, i_from_j, with information (inverse covariance)
-in the tangent order of `ebjax.geometry.lie`: (x, y, theta) or (x, y, z, wx, wy, wz), m and rad.
+in the tangent order of `ebjax.geometry.lie`: (x, y, theta) or (x, y, z, wx, wy, wz), m and rad. Information may be
+semidefinite: a direction that a measurement says nothing of has none.
+
+Two things more fit in the same rows. A landmark is a pose whose rotation is held at the identity. An edge marked
+`position` measures where j lies, seen from i, and not how it is turned. Priors are edges from one more row, the world,
+which is fixed at the identity: a full one is a prior on a pose, one marked `position` is what a GPS fix says.
 """
 
 from dataclasses import dataclass, field, replace
@@ -28,6 +33,9 @@ class PoseGraph:
       robust: whether the robust kernel applies to the edge.
       fixed: poses that do not move.
       group: "se2" or "se3".
+      position: edges that measure a position only, r = R_i^T (t_j - t_i) - t_measured; None where there are none.
+      landmark: rows that are points; they stand behind the poses. None where there are none.
+      world: whether the last row is the world, in which priors are measured.
     """
 
     poses: Float[Array | np.ndarray, "N P"]
@@ -38,11 +46,20 @@ class PoseGraph:
     robust: Bool[Array | np.ndarray, " E"]
     fixed: Bool[Array | np.ndarray, " N"]
     group: str = field(default="se2", metadata=dict(static=True))
+    position: Bool[Array | np.ndarray, " E"] | None = None
+    landmark: Bool[Array | np.ndarray, " N"] | None = None
+    world: bool = field(default=False, metadata=dict(static=True))
 
     @property
     def lie(self) -> Group:
         """The group's functions."""
         return GROUPS[self.group]
+
+    @property
+    def pose_count(self) -> int:
+        """Rows that are poses of the robot, the first ones."""
+        points = 0 if self.landmark is None else int(np.sum(np.asarray(self.landmark)))
+        return len(self.poses) - points - self.world
 
 
 def make_graph(
@@ -54,6 +71,8 @@ def make_graph(
     *,
     robust: Bool[Array | np.ndarray, " E"] | None = None,
     fixed: Bool[Array | np.ndarray, " N"] | None = None,
+    position: Bool[Array | np.ndarray, " E"] | None = None,
+    landmark: Bool[Array | np.ndarray, " N"] | None = None,
 ) -> PoseGraph:
     """Builds a graph; the group follows from the width of a pose, every edge is robust and nothing fixed by default."""
     return PoseGraph(
@@ -65,6 +84,8 @@ def make_graph(
         np.ones(len(i), bool) if robust is None else robust,
         np.zeros(len(poses), bool) if fixed is None else fixed,
         "se2" if poses.shape[-1] == 3 else "se3",
+        position,
+        landmark,
     )
 
 
@@ -73,25 +94,78 @@ def add_priors(
     rows: Int[Array | np.ndarray, " K"],
     world_from_base: Float[Array | np.ndarray, "K P"],
     information: Float[Array | np.ndarray, "K d d"],
+    *,
+    position: Bool[Array | np.ndarray, " K"] | None = None,
+    robust: Bool[Array | np.ndarray, " K"] | None = None,
 ) -> PoseGraph:
-    """Ties the poses `rows` to measured world poses, by edges from one more pose: the world, last and fixed.
+    """Ties the rows `rows` to measured world poses, by edges from one more row: the world, last and fixed.
 
-    A prior on pose p costs r^T information r, r = log(measured^-1 * world_from_base_p), without a robust kernel. The
-    pieces of the graph that have one need no fixed pose.
+    A prior on pose p costs r^T information r, r = log(measured^-1 * world_from_base_p); one marked `position` costs
+    the same of r = t_p - t_measured. By default none is a position alone, and none has the robust kernel. Pieces of the
+    graph that priors hold need no fixed pose.
+
+    Args:
+      graph: with priors or without.
+      rows: poses or, for positions, landmarks.
+      world_from_base: what was measured; of positions the rotation does not count.
+      information: of positions the first rows and columns count, two or three.
+      position: priors that measure a position only.
+      robust: priors that the robust kernel applies to.
     """
-    world, count = len(graph.poses), len(rows)
-    identity = jnp.asarray(graph.lie.identity, jnp.asarray(graph.poses).dtype)[None]
-    join = jnp.concatenate
-    return PoseGraph(
-        join([jnp.asarray(graph.poses), identity]),
-        np.concatenate([np.asarray(graph.i), np.full(count, world)]),
-        np.concatenate([np.asarray(graph.j), np.asarray(rows)]),
-        join([jnp.asarray(graph.measured), jnp.asarray(world_from_base)]),
-        join([jnp.asarray(graph.information), jnp.asarray(information)]),
-        np.concatenate([np.asarray(graph.robust), np.zeros(count, bool)]),
-        np.append(np.asarray(graph.fixed), True),
-        graph.group,
+    graph = graph if graph.world else _with_world(graph)
+    world, count, join = len(graph.poses) - 1, len(rows), jnp.concatenate
+    none, marks = np.zeros(count, bool), graph.position
+    if marks is not None or position is not None:
+        before = np.zeros(len(graph.i), bool) if marks is None else np.asarray(marks)
+        marks = np.concatenate([before, none if position is None else np.asarray(position)])
+    return replace(
+        graph,
+        i=np.concatenate([np.asarray(graph.i), np.full(count, world)]),
+        j=np.concatenate([np.asarray(graph.j), np.asarray(rows)]),
+        measured=join([jnp.asarray(graph.measured), jnp.asarray(world_from_base)]),
+        information=join([jnp.asarray(graph.information), jnp.asarray(information)]),
+        robust=np.concatenate([np.asarray(graph.robust), none if robust is None else np.asarray(robust)]),
+        position=marks,
     )
+
+
+def _with_world(graph):
+    identity = jnp.asarray(graph.lie.identity, jnp.asarray(graph.poses).dtype)[None]
+    return replace(
+        graph,
+        poses=jnp.concatenate([jnp.asarray(graph.poses), identity]),
+        fixed=np.append(np.asarray(graph.fixed), True),
+        landmark=None if graph.landmark is None else np.append(np.asarray(graph.landmark), False),
+        world=True,
+    )
+
+
+def between_poses(graph: PoseGraph) -> Bool[np.ndarray, " E"]:
+    """Edges that measure one pose of the robot from another: no priors, no landmarks, no positions alone."""
+    ends = np.maximum(np.asarray(graph.i), np.asarray(graph.j)) < graph.pose_count
+    return ends if graph.position is None else ends & ~np.asarray(graph.position)
+
+
+def steps_of(graph: PoseGraph) -> Bool[np.ndarray, " E"]:
+    """Edges that join successive poses."""
+    return between_poses(graph) & (np.abs(np.asarray(graph.i) - np.asarray(graph.j)) == 1)
+
+
+def loops_of(graph: PoseGraph) -> Bool[np.ndarray, " E"]:
+    """Edges that join poses which are not successive."""
+    return between_poses(graph) & (np.abs(np.asarray(graph.i) - np.asarray(graph.j)) > 1)
+
+
+def poses_alone(graph: PoseGraph) -> PoseGraph:
+    """The robot's poses and the edges between them; the graph itself where there is nothing else."""
+    count, kept = graph.pose_count, between_poses(graph)
+    if count == len(graph.poses) and kept.all():
+        return graph
+    i, j, measured, information, robust = (
+        np.asarray(x)[kept] for x in (graph.i, graph.j, graph.measured, graph.information, graph.robust)
+    )
+    poses, fixed = np.asarray(graph.poses)[:count], np.asarray(graph.fixed)[:count]
+    return make_graph(poses, i, j, measured, information, robust=robust, fixed=fixed)
 
 
 def check(graph: PoseGraph) -> None:
@@ -113,29 +187,33 @@ def check(graph: PoseGraph) -> None:
             bad = ~np.isfinite(np.asarray(value)).all(tuple(range(1, value.ndim)))
             if bad.any():
                 raise ValueError(f"{name} row {int(np.argmax(bad))} is not finite; remove the row or repair its source")
-    if not isinstance(graph.information, jax.core.Tracer) and e:
-        information = np.asarray(graph.information)
-        lowest = np.linalg.eigvalsh((information + information.swapaxes(1, 2)) / 2)[:, 0]
-        if (lowest <= 0).any():
-            k = int(np.argmax(lowest <= 0))
+    if not isinstance(graph.information, jax.core.Tracer) and e and not definite(graph.information):
+        bad = negative(np.asarray(graph.information))
+        if bad.any():
+            k = int(np.argmax(bad))
+            lowest = np.linalg.eigvalsh(np.asarray(graph.information)[k])[0]
             raise ValueError(
-                f"information of edge {k} is not positive definite (eigenvalue {lowest[k]:.3g}); repair it"
+                f"information of edge {k} is not positive definite or semidefinite (eigenvalue {lowest:.3g}); repair it"
             )
 
 
-def anchored(graph: PoseGraph) -> PoseGraph:
-    """Fixes the first pose of every connected component that has no fixed pose: the gauge.
+def definite(information: Float[Array | np.ndarray, "E d d"]) -> bool:
+    """Whether all matrices are positive definite."""
+    try:
+        np.linalg.cholesky(np.asarray(information))
+    except np.linalg.LinAlgError:
+        return False
+    return True
 
-    A graph in several pieces is thereby solved piece by piece, each where its first pose stands. `i`, `j` and `fixed`
-    must be concrete.
-    """
-    fixed = np.array(graph.fixed)
-    label = components(len(fixed), np.asarray(graph.i), np.asarray(graph.j))
-    for piece in np.unique(label):
-        members = np.flatnonzero(label == piece)
-        if not fixed[members].any():
-            fixed[members[0]] = True
-    return replace(graph, fixed=fixed)
+
+ROUNDING = 1e-5
+"""Of the largest eigenvalue: what six digits of a file may make of a zero eigenvalue."""
+
+
+def negative(information: Float[np.ndarray, "E d d"]) -> Bool[np.ndarray, " E"]:
+    """Matrices with an eigenvalue that is negative beyond rounding."""
+    values = np.linalg.eigvalsh((information + information.swapaxes(1, 2)) / 2)
+    return values[:, 0] < -ROUNDING * np.abs(values).max(1)
 
 
 def components(n: int, i: Int[np.ndarray, " E"], j: Int[np.ndarray, " E"]) -> Int[np.ndarray, " N"]:

@@ -6,47 +6,40 @@ Each returns world_from_base for every pose. Fixed poses stay; a connected piece
 from collections import deque
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
-from ebjax.posegraph.graph import PoseGraph, anchored
-
-
-def to_matrices(poses: Float[np.ndarray, "N P"]) -> Float[np.ndarray, "N D D"]:
-    """SE(2) or SE(3) poses as homogeneous matrices."""
-    poses = np.asarray(poses, float)
-    if poses.shape[1] == 3:
-        out = np.tile(np.eye(3), (len(poses), 1, 1))
-        c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-        out[:, 0, 0], out[:, 0, 1], out[:, 1, 0], out[:, 1, 1] = c, -s, s, c
-        out[:, :2, 2] = poses[:, :2]
-        return out
-    out = np.tile(np.eye(4), (len(poses), 1, 1))
-    w, v = poses[:, :1, None], poses[:, 1:4]
-    cross = np.cross(np.eye(3)[None], v[:, None, :])
-    out[:, :3, :3] = np.eye(3) + 2 * w * cross + 2 * cross @ cross
-    out[:, :3, 3] = poses[:, 4:]
-    return out
+from ebjax.posegraph.gauge import anchored
+from ebjax.posegraph.graph import PoseGraph, steps_of
+from ebjax.posegraph.matrices import from_matrices, to_matrices
 
 
-def from_matrices(matrices: Float[np.ndarray, "N D D"]) -> Float[np.ndarray, "N P"]:
-    """Inverse of `to_matrices`; the angle is in (-pi, pi], the quaternion has w >= 0."""
-    if matrices.shape[1] == 3:
-        theta = np.arctan2(matrices[:, 1, 0], matrices[:, 0, 0])
-        return np.concatenate([matrices[:, :2, 2], theta[:, None]], 1)
-    from scipy.spatial.transform import Rotation
+def _positions(graph: PoseGraph) -> tuple[Bool[np.ndarray, " E"], Bool[np.ndarray, " E"]]:
+    """Edges that measure a position only; those among them that place a landmark, which can be walked one way."""
+    if graph.position is None:
+        return (np.zeros(len(graph.i), bool),) * 2
+    position = np.asarray(graph.position)
+    point = np.zeros(len(graph.poses), bool) if graph.landmark is None else np.asarray(graph.landmark)
+    return position, position & point[np.asarray(graph.j)]
 
-    q = Rotation.from_matrix(matrices[:, :3, :3]).as_quat(canonical=True)
-    return np.concatenate([q[:, [3, 0, 1, 2]], matrices[:, :3, 3]], 1)
+
+def _roots(graph: PoseGraph) -> Bool[np.ndarray, " N"]:
+    """Where walks begin: fixed rows, the first of every other piece of poses, landmarks that nothing places."""
+    position, places = _positions(graph)
+    roots = _tied(graph, ~position)
+    placed = np.asarray(graph.j)[places]
+    roots[placed] = np.asarray(graph.fixed)[placed]
+    return roots
 
 
 def _walk(graph: PoseGraph, edges: np.ndarray) -> Float[np.ndarray, "N P"]:
     """Composes the measurements of `edges` outwards from the fixed poses, breadth first."""
-    graph = anchored(graph)
-    i, j, fixed = (np.asarray(x) for x in (graph.i, graph.j, graph.fixed))
+    i, j, fixed = np.asarray(graph.i), np.asarray(graph.j), _roots(graph)
+    position, _ = _positions(graph)
     links: list[list[tuple[int, int, bool]]] = [[] for _ in range(len(fixed))]
     for e in edges.tolist():
         links[i[e]].append((int(j[e]), e, False))
-        links[j[e]].append((int(i[e]), e, True))
+        if not position[e]:
+            links[j[e]].append((int(i[e]), e, True))
     world = to_matrices(np.asarray(graph.poses))
     forward = to_matrices(np.asarray(graph.measured))
     backward = np.linalg.inv(forward)
@@ -58,19 +51,28 @@ def _walk(graph: PoseGraph, edges: np.ndarray) -> Float[np.ndarray, "N P"]:
                 done[q] = True
                 world[q] = world[p] @ (backward[e] if reverse else forward[e])
                 queue.append(q)
-    return from_matrices(world)
+    return from_matrices(_upright(graph, world))
+
+
+def _upright(graph, world):
+    """Landmarks are not turned."""
+    if graph.landmark is not None:
+        world[np.asarray(graph.landmark), :-1, :-1] = np.eye(world.shape[1] - 1)
+    return world
 
 
 def spanning_tree(graph: PoseGraph) -> Float[np.ndarray, "N P"]:
     """Composes measurements along the fewest edges from a fixed pose."""
-    return _walk(graph, np.arange(len(graph.i)))
+    position, places = _positions(graph)
+    return _walk(graph, np.flatnonzero(~position | places))
 
 
 def odometry(graph: PoseGraph) -> Float[np.ndarray, "N P"]:
-    """Composes the edges between successive rows; where these leave gaps, the first other edges that bridge them."""
-    graph = anchored(graph)
-    i, j, fixed = (np.asarray(x) for x in (graph.i, graph.j, graph.fixed))
-    order = np.argsort(np.abs(i - j) != 1, kind="stable")
+    """Composes the edges between successive poses; where these leave gaps, the first other edges that bridge them."""
+    i, j, fixed = np.asarray(graph.i), np.asarray(graph.j), _roots(graph)
+    position, places = _positions(graph)
+    order = np.argsort(~steps_of(graph) + 1 * position, kind="stable")
+    order = order[(~position | places)[order]]
     root = list(range(len(fixed) + 1))
 
     def find(p):
@@ -93,27 +95,35 @@ def odometry(graph: PoseGraph) -> Float[np.ndarray, "N P"]:
 def chordal(graph: PoseGraph) -> Float[np.ndarray, "N P"]:
     """Rotations from min sum |R_i R_ij - R_j|^2 without their constraint, projected; then translations (least squares).
 
-    The relaxation of Martinec and Pajdla (2007): two linear problems, no starting point.
+    The relaxation of Martinec and Pajdla (2007): two linear problems, no starting point. Edges that measure a position
+    count in the second; pieces whose rotations nothing ties to a fixed pose keep that of their first.
     """
-    graph = anchored(graph)
-    i, j, fixed = (np.asarray(x) for x in (graph.i, graph.j, graph.fixed))
+    i, j = np.asarray(graph.i), np.asarray(graph.j)
     world, relative = to_matrices(np.asarray(graph.poses)), to_matrices(np.asarray(graph.measured))
     d = world.shape[1] - 1
     rotation, translation = world[:, :d, :d], world[:, :d, d]
     information = np.asarray(graph.information, float)
-    weight_r = np.sqrt(information[:, d:, d:].trace(axis1=1, axis2=2))
+    position = np.zeros(len(i), bool) if graph.position is None else np.asarray(graph.position)
+    weight_r = np.sqrt(information[:, d:, d:].trace(axis1=1, axis2=2)) * ~position
     weight_t = np.sqrt(information[:, :d, :d].trace(axis1=1, axis2=2))
+    fixed = _tied(graph, weight_r > 0)
     transposed = relative[:, :d, :d].swapaxes(1, 2)
     rows = _least_squares(i, j, fixed, transposed, rotation.swapaxes(1, 2), np.zeros((len(i), d, d)), weight_r)
     u, _, vt = np.linalg.svd(rows.swapaxes(1, 2))
     u[:, :, -1] *= np.linalg.det(u @ vt)[:, None]
     rotation = np.where(fixed[:, None, None], rotation, u @ vt)
+    fixed = _tied(graph, weight_t > 0)
     step = (rotation[i] @ relative[:, :d, d:])[:, :, :]
     eye = np.tile(np.eye(d), (len(i), 1, 1))
     translation = _least_squares(i, j, fixed, eye, translation[:, :, None], step, weight_t)[:, :, 0]
     out = np.tile(np.eye(d + 1), (len(fixed), 1, 1))
     out[:, :d, :d], out[:, :d, d] = rotation, translation
-    return from_matrices(out)
+    return from_matrices(_upright(graph, out))
+
+
+def _tied(graph, counts):
+    """`fixed`, and the first row of every piece that the edges that count do not tie to a fixed one."""
+    return anchored(graph.fixed, np.asarray(graph.i)[counts], np.asarray(graph.j)[counts])
 
 
 def _least_squares(i, j, fixed, block, start, step, weight):

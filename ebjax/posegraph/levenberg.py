@@ -40,9 +40,10 @@ class _Edges(NamedTuple):
     information: Array
     robust: Array
     fixed: Array
+    position: Array | None
 
     def graph(self, poses, group):
-        return PoseGraph(poses, self.i, self.j, self.measured, self.information, self.robust, self.fixed, group)
+        return PoseGraph(poses, *self[:-1], group, self.position)
 
 
 class _State(NamedTuple):
@@ -85,7 +86,7 @@ class _Levenberg(optx.AbstractLeastSquaresSolver):
     def _linearise(self, poses, late):
         graph = self.edges.graph(poses, self.group)
         blocks = gauss_newton_blocks(graph, poses, self.kernel, self.width, late)
-        return assemble(graph, self.structure.pattern, blocks, ~self.edges.fixed)
+        return assemble(graph, self.structure.pattern, blocks, self.structure.free)
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags):
         """Half the cost at the start."""
@@ -184,7 +185,8 @@ def minimise(
     """Runs the loop; all but `kernel` may be traced. Not differentiable by itself: `adjoint.optimum` is."""
     lie = graph.lie
     parts = (graph.i, graph.j, graph.measured, graph.information, graph.robust, graph.fixed)
-    edges = _Edges(*(jnp.asarray(x) for x in parts))
+    position = None if graph.position is None else jnp.asarray(graph.position)
+    edges = _Edges._make([*map(jnp.asarray, parts), position])
     start = lie.normalise(jnp.asarray(graph.poses))
 
     def residual(y, args):

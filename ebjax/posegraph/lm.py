@@ -32,8 +32,8 @@ def solve(
 ) -> Solution:
     """Minimises sum_k rho(r_k^T information_k r_k), r = log(measured^-1 * i_from_j), from `graph.poses`.
 
-    The kernel applies to the edges marked `robust`. Where a connected piece of the graph has no fixed pose, its first
-    stays where it is. Everything has the dtype of `graph.poses`; float64 needs JAX's x64 mode.
+    The kernel applies to the edges marked `robust`. Where nothing says where a connected piece of the graph lies in the
+    world, its first pose stays where it is. Everything has the dtype of `graph.poses`; float64 needs JAX's x64 mode.
     Gradients of `poses` and `cost` with respect to measured, information, width and the fixed poses are exact at
     convergence (`ebjax.posegraph.adjoint`): give them a small `rtol`, 1e-20 say.
 
@@ -44,7 +44,7 @@ def solve(
         rows being believed: "pcm" is Cauchy on the largest consistent set, "consensus" is least squares where that fits
         all loops, else gnc-tls on the loops that others confirm, then tls on all from there.
       width: of the kernel, in standard deviations, one for all edges or one per edge; None is 1, and for the kernels
-        that cut off the root of the 99.9 % point of chi-square with as many degrees of freedom as a pose.
+        that cut off the root of the 99.9 % point of chi-square with as many degrees of freedom as the edge has numbers.
       max_steps: steps tried at most, accepted or not.
       rtol: the loop ends when a step lowers the cost, and promised to lower it, by less than this share.
       solver: "auto", "elimination", "qdldl", "supernodal" or "cholmod"; see `ebjax.posegraph.linear.analyse`.
@@ -55,8 +55,8 @@ def solve(
       A `Solution`; non-convergence is its `status`, not an error.
 
     Raises:
-      ValueError: unknown kernel or solver, wrong shapes, non-finite numbers or an information matrix that is not
-        positive definite (both only where the arrays are concrete).
+      ValueError: unknown kernel or solver, wrong shapes, non-finite numbers, an information matrix with a negative
+        eigenvalue, or rows that nothing determines (the last three only where the arrays are concrete).
     """
     return _call(graph, kernel, width, max_steps, rtol, solver, structure, report, _solve)
 
@@ -65,8 +65,15 @@ def cut_off(
     graph: PoseGraph, poses: Float[Array, "N P"], *, kernel: str = "cauchy", width: float | None = None
 ) -> Bool[np.ndarray, " E"]:
     """Robust edges that count for nothing at `poses`, which kernels that truncate have; the options as in `solve`."""
-    at = jnp.asarray(default_width(kernel, graph.lie.dim) if width is None else width, jnp.asarray(poses).dtype)
+    at = jnp.asarray(_default_width(graph, kernel) if width is None else width, jnp.asarray(poses).dtype)
     return np.asarray(graph.robust) & (np.asarray(_weights(graph, poses, at, kernel)) == 0)
+
+
+def _default_width(graph, kernel):
+    width = default_width(kernel, graph.lie.dim)
+    if graph.position is None:
+        return width
+    return np.where(np.asarray(graph.position), default_width(kernel, graph.lie.dim // 3 + 1), width)
 
 
 @partial(jax.jit, static_argnames="kernel")
@@ -98,7 +105,7 @@ def _call(graph, kernel, width, max_steps, rtol, solver, structure, report, func
     check_kernel(kernel)
     check(graph)
     dtype = jnp.asarray(graph.poses).dtype
-    width = default_width(kernel, graph.lie.dim) if width is None else width
+    width = _default_width(graph, kernel) if width is None else width
     if len(graph.poses) < 2 or len(graph.i) == 0:
         zero, none = jnp.zeros((), dtype), jnp.zeros((), jnp.int32)
         return Solution(jnp.asarray(graph.poses), zero, zero, none, none)
@@ -111,9 +118,9 @@ def _call(graph, kernel, width, max_steps, rtol, solver, structure, report, func
         else:
             first = jnp.asarray(width * (chosen.kept if chosen.kept.any() else chosen.loop), dtype)
     if structure is None:
-        structure = analyse(graph, solver)
+        structure = analyse(graph, solver, look=True)
     params = tuple(jnp.asarray(x, dtype) for x in (graph.poses, graph.measured, information, width))
-    rest = (graph.i, graph.j, graph.robust, structure, first)
+    rest = (graph.i, graph.j, graph.robust, graph.position, structure, first)
     return function(params, rest, group=graph.group, kernel=kernel, max_steps=max_steps, rtol=rtol, report=report)
 
 

@@ -28,15 +28,15 @@ def marginals(
     """Covariance of delta in pose * exp(delta) for the poses `rows`, tangent order of `ebjax.geometry.lie`.
 
     With H = sum_k rho'(s_k) J_k^T information_k J_k at `graph.poses`, which should be a solution, the answer is the
-    diagonal blocks of H^-1, as gtsam's Marginals gives them. A fixed pose has covariance zero; everything is relative
-    to the fixed poses.
+    diagonal blocks of H^-1, as gtsam's Marginals gives them. A fixed pose has covariance zero, and so has the rotation
+    of a landmark; everything is relative to the fixed poses.
 
     Raises:
       ValueError: a row outside the graph (where the rows are concrete), unknown kernel or solver.
     """
     _check_rows(graph, rows)
     check_kernel(kernel)
-    structure = analyse(graph, solver) if structure is None else structure
+    structure = analyse(graph, solver, look=True) if structure is None else structure
     return _marginals(graph, jnp.asarray(rows), jnp.asarray(width, jnp.asarray(graph.poses).dtype), structure, kernel)
 
 
@@ -64,7 +64,7 @@ def relative_marginals(
     for rows in (a, b):
         _check_rows(graph, rows)
     check_kernel(kernel)
-    structure = analyse(graph, solver) if structure is None else structure
+    structure = analyse(graph, solver, look=True) if structure is None else structure
     width = jnp.asarray(width, jnp.asarray(graph.poses).dtype)
     return _relative_marginals(graph, jnp.asarray(a), jnp.asarray(b), width, structure, kernel)
 
@@ -75,8 +75,8 @@ def _check_rows(graph, rows):
 
 
 def _inverse(graph, width, structure, kernel):
-    """Which poses are free, and the function right -> H^-1 right for the columns `right`, (d, N, d)."""
-    poses, free = jnp.asarray(graph.poses), ~jnp.asarray(structure.fixed)
+    """What is free, rows or numbers of tangents, and the function right -> H^-1 right for the columns, (d, N, d)."""
+    poses, free = jnp.asarray(graph.poses), structure.free
     system, _ = assemble(graph, structure.pattern, gauss_newton_blocks(graph, poses, kernel, width), free)
     return free, jax.vmap(lambda right: linear_solve(structure, system, right))
 

@@ -16,8 +16,8 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-CHI2_99 = {3: 11.345, 6: 16.812}  # points of the chi-square distribution by degrees of freedom
-CHI2_999 = {3: 16.266, 6: 22.458}
+CHI2_99 = {2: 9.210, 3: 11.345, 6: 16.812}  # points of the chi-square distribution by degrees of freedom
+CHI2_999 = {2: 13.816, 3: 16.266, 6: 22.458}
 
 
 class Graduated(NamedTuple):

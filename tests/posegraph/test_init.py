@@ -46,6 +46,17 @@ def test_odometry_bridges_gaps_and_walks_edges_backwards(ring):
     assert distance("se2", np_to_jax(init.odometry(cut)), truth) < 1e-12
 
 
+@pytest.mark.parametrize("start", [init.odometry, init.spanning_tree, init.chordal])
+@pytest.mark.parametrize(("group", "priors"), [("se2", "position"), ("se3", "pose"), ("se3", "position")])
+def test_landmarks_start_where_they_were_seen(mapped, group, priors, start):
+    graph, truth = mapped(group, priors=priors, noise=0.0)
+    blank = np.tile(graph.lie.identity, (len(graph.poses), 1))
+    blank[0] = truth[0]
+    poses = start(replace(graph, poses=blank))
+    assert distance(group, np_to_jax(poses[:-1]), np_to_jax(truth)) < 1e-8
+    np.testing.assert_array_equal(poses[-1], graph.lie.identity)
+
+
 def np_to_jax(poses):
     import jax.numpy as jnp
 
