@@ -13,8 +13,11 @@ import yaml
 
 from ebjax.io.atomic import whole_file
 from ebjax.io.text import read_text
+from ebjax.io.yaml_text import parse_yaml
 
 Config = TypeVar("Config")
+SHOWN = 80
+"""Letters of a value in a message."""
 
 
 def load_config(path: str | Path, config_class: type[Config]) -> Config:
@@ -29,7 +32,7 @@ def load_config(path: str | Path, config_class: type[Config]) -> Config:
       ValueError: not YAML, an unknown key or a value of the wrong type; names file and key.
     """
     try:
-        values = yaml.safe_load(read_text(path))
+        values = parse_yaml(read_text(path))
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         line = f" line {mark.line + 1}" if mark else ""
@@ -61,7 +64,7 @@ def _build(path: str | Path, prefix: str, kind: Any, values: Any) -> Any:
         if key not in fields:
             close = difflib.get_close_matches(str(key), fields, n=1)
             hint = f"did you mean {prefix}{close[0]!s}?" if close else f"known keys: {', '.join(fields)}"
-            raise ValueError(f"{path}: unknown key {prefix}{key}; {hint}")
+            raise ValueError(f"{path}: unknown key {prefix}{_named(key)}; {hint}")
     hints = typing.get_type_hints(kind)
     arguments = {}
     for name, field in fields.items():
@@ -74,7 +77,7 @@ def _build(path: str | Path, prefix: str, kind: Any, values: Any) -> Any:
 
 def _value(path: str | Path, key: str, kind: Any, value: Any) -> Any:
     """Converts a YAML value to a field's type; integers pass for floats, nothing else changes its type."""
-    wrong = ValueError(f"{path}: key {key} is {value!r}, not {_describe(kind)}; correct the value")
+    wrong = ValueError(f"{path}: key {key} is {_shown(value)}, not {_describe(kind)}; correct the value")
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if dataclasses.is_dataclass(kind):
         return _build(path, key + ".", kind, value)
@@ -116,9 +119,27 @@ def _float(value: Any, wrong: ValueError) -> float:
             value = float(value)
         except ValueError:
             raise wrong from None
-    if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):
+    if isinstance(value, bool) or not isinstance(value, int | float):
         raise wrong
-    return float(value)
+    try:
+        value = float(value)
+    except OverflowError:
+        raise wrong from None
+    if math.isnan(value):
+        raise wrong
+    return value
+
+
+def _shown(value: Any) -> str:
+    """A value as Python writes it; a long one is cut."""
+    words = repr(value)
+    return words if len(words) <= SHOWN else f"{words[:SHOWN]}..."
+
+
+def _named(key: Any) -> str:
+    """A key as the file has it, if that is one word or line."""
+    words = str(key)
+    return words if words.isprintable() and 0 < len(words) <= SHOWN else _shown(key)
 
 
 def _describe(kind: Any) -> str:

@@ -29,3 +29,27 @@ def pose_of(mount: Float[np.ndarray, "6"]) -> Float[np.ndarray, "4 4"]:
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = turned @ tilted, (x, y, height)
     return pose
+
+
+def pose_of_homography(
+    intrinsics: Float[np.ndarray, "3 3"], floor_from_image: Float[np.ndarray, "3 3"]
+) -> tuple[Float[np.ndarray, "4 4"], float]:
+    """The pose on the robot of a pinhole that sees the floor by a homography: K [r1 r2 t] = its inverse.
+
+    Args:
+      intrinsics: K, px, of the homography's pixels.
+      floor_from_image: pixels -> the floor z = 0 of base, m; of any scale and sign.
+
+    Returns:
+      base_from_camera, and by which share [r1 r2] differ from two unit vectors at right angles: 0 for a rigid mount.
+    """
+    seen = np.linalg.inv(intrinsics) @ np.linalg.inv(floor_from_image)
+    seen = seen / np.sqrt(np.linalg.norm(seen[:, 0]) * np.linalg.norm(seen[:, 1]))
+    rotation = np.column_stack([seen[:, :2], np.cross(seen[:, 0], seen[:, 1])])
+    if -(rotation[:, 2] @ seen[:, 2]) < 0:  # below the floor: the other sign
+        seen, rotation = -seen, rotation * np.array([-1.0, -1.0, 1.0])
+    left, stretch, right = np.linalg.svd(rotation)
+    pose = np.eye(4)
+    pose[:3, :3] = (left @ right).T
+    pose[:3, 3] = -pose[:3, :3] @ seen[:, 2]
+    return pose, float(np.abs(stretch - 1).max())

@@ -11,11 +11,13 @@ from jaxtyping import Float
 
 from ebjax.geometry.lens_models import COUNTS, lens_fault, no_lens_if_straight
 from ebjax.io.atomic import whole_file
+from ebjax.io.json_text import read_json
 from ebjax.io.poses import rigid_fault
-from ebjax.io.text import read_text
 
 KEYS = ("fx", "fy", "cx", "cy", "width", "height", "depth_scale", "T_base_camera")
 LENS_KEYS = ("distortion_model", "D")
+MOST = 1e300
+"""Larger numbers, infinity too, are no values of a camera."""
 
 
 @dataclass(frozen=True)
@@ -46,8 +48,9 @@ def _number(path: Path, values: dict[str, Any], key: str, *, positive: bool) -> 
     value = values[key]
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ValueError(f"{path}: {key!r} is {json.dumps(value)[:60]}, not a number; correct it")
-    if not math.isfinite(value) or (positive and value <= 0):
-        raise ValueError(f"{path}: {key!r} is {value}, not a finite {'positive ' * positive}number; correct it")
+    if abs(value) > MOST or math.isnan(value) or (positive and value <= 0):
+        wanted = "finite positive number" if positive else "finite number"
+        raise ValueError(f"{path}: {key!r} is {str(value)[:60]}, not a {wanted}; correct it")
     return float(value)
 
 
@@ -63,7 +66,7 @@ def _pose(path: Path, values: dict[str, Any], key: str) -> np.ndarray:
     numeric = isinstance(rows, list) and all(
         isinstance(row, list)
         and len(row) == 4
-        and all(isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v) for v in row)
+        and all(isinstance(v, int | float) and not isinstance(v, bool) and abs(v) <= MOST for v in row)
         for row in rows
     )
     if not numeric or len(rows) != 4:
@@ -89,10 +92,7 @@ def read_camera(path: str | Path, *, depth: bool = True) -> CameraFile:
         lens; names file and key.
     """
     path = Path(path)
-    try:
-        values = json.loads(read_text(path))
-    except json.JSONDecodeError as error:
-        raise ValueError(f"{path} line {error.lineno}: not JSON ({error.msg}); correct the file") from None
+    values = read_json(path, lambda pairs: _unique(path, pairs))
     if not isinstance(values, dict):
         raise ValueError(f"{path}: not a JSON object; it needs the keys {', '.join(KEYS)}")
     if not depth:
@@ -114,6 +114,15 @@ def read_camera(path: str | Path, *, depth: bool = True) -> CameraFile:
         distortion_model=model,
         distortion=distortion,
     )
+
+
+def _unique(path: Path, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """An object of which no key is there twice, for only the last would count."""
+    values = dict(pairs)
+    if len(values) < len(pairs):
+        twice = next(key for key in values if [name for name, _ in pairs].count(key) > 1)
+        raise ValueError(f"{path}: {twice!r} is there twice; remove one of the two")
+    return values
 
 
 def _lens(path: Path, values: dict[str, Any]) -> tuple[str, tuple[float, ...]]:

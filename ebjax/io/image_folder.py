@@ -1,12 +1,13 @@
 """Folders of images in natural order, and which of one folder show the places of another."""
 
-import json
 import re
 from pathlib import Path
 
-from ebjax.io.text import read_text
+from ebjax.io.image_kinds import SUFFIXES as UNREAD
+from ebjax.io.image_kinds import conversion
+from ebjax.io.json_text import read_json
 
-SUFFIXES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm"}
+SUFFIXES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm", ".pnm", ".jp2", ".avif"}
 
 
 def natural(path: Path) -> tuple[list[tuple[int, str]], str]:
@@ -16,17 +17,29 @@ def natural(path: Path) -> tuple[list[tuple[int, str]], str]:
 
 
 def list_images(folder: Path) -> list[Path]:
-    """The images of a folder in natural order.
+    """The images of a folder in natural order, without hidden ones; links that lead nowhere are among them.
 
     Raises:
-      ValueError: no folder, or no image in it.
+      ValueError: no folder, or no image in it; names files of images that are not read, and how to convert them.
     """
     if not folder.is_dir():
         raise ValueError(f"{folder}: not a folder; give a folder of images")
-    files = [file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES and file.is_file()]
+    files = [file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES and not file.name.startswith(".")]
+    files = [file for file in files if file.is_file() or (file.is_symlink() and not file.exists())]
     if not files:
-        raise ValueError(f"{folder}: no images in it; give a folder of JPEG or PNG files")
+        unread = unread_images(folder)
+        raise ValueError(f"{folder}: no images in it; {unread or 'give a folder of JPEG or PNG files'}")
     return sorted(files, key=natural)
+
+
+def unread_images(folder: Path) -> str:
+    """Names a folder's files of images that are not read, and how to convert one; empty where it has none."""
+    files = [file for file in folder.iterdir() if file.suffix.lower().lstrip(".") in UNREAD and file.is_file()]
+    if not files:
+        return ""
+    first = min(files, key=natural)
+    kind = UNREAD[first.suffix.lower().lstrip(".")]
+    return f"{len(files)} such as {first.name}, {kind}, are not read: {conversion(first)}"
 
 
 def read_truth(path: Path, queries: int, references: int) -> dict[int, list[int]]:
@@ -35,10 +48,7 @@ def read_truth(path: Path, queries: int, references: int) -> dict[int, list[int]
     Raises:
       ValueError: not such a JSON object, or a number beyond the images; names file and key.
     """
-    try:
-        values = json.loads(read_text(path))
-    except json.JSONDecodeError as error:
-        raise ValueError(f"{path} line {error.lineno}: not JSON ({error.msg}); correct the file") from None
+    values = read_json(path)
     if not isinstance(values, dict):
         raise ValueError(f"{path}: not a JSON object; write {{query number: [reference numbers]}}")
     truth = {}

@@ -10,42 +10,52 @@ import cv2
 import numpy as np
 from jaxtyping import Bool
 
-from ebjax.io.images import PNG_SIGNATURE, BrokenFrame, _decode
+from ebjax.io.image_header import PNG_SIGNATURE
+from ebjax.io.images import BrokenFrame, fitting, read_stored, same_shape
+from ebjax.io.orientation import upright
 
 SAMPLED = 12
 
 
-def read_mask(path: str | Path, size: tuple[int, int]) -> Bool[np.ndarray, "H W"]:
+def read_mask(path: str | Path, size: tuple[int, int]) -> tuple[Bool[np.ndarray, "H W"], tuple[str, ...]]:
     """Reads which pixels of the images to ignore: True where the mask is transparent, or black where it has no alpha.
 
     Black is below half of the mask's brightest value, so 0 and 1, 0 and 255, and JPEG serve alike; transparent is
-    alpha below one half. A mask of the images' shape but another resolution is scaled to `size`.
+    alpha below one half. A mask of the images' shape but another resolution is scaled to `size`; one with an EXIF
+    orientation is turned where only so it has their shape.
 
     Args:
       path: PNG, JPEG or anything else that OpenCV decodes.
       size: (width, height) of the images.
 
+    Returns:
+      The mask, and what was converted, a line each.
+
     Raises:
       ValueError: unreadable, another shape than the images, or a mask that ignores everything or nothing.
     """
     path = Path(path)
-    image = _decode(path, cv2.IMREAD_UNCHANGED)
+    image, exif = read_stored(path, cv2.IMREAD_UNCHANGED)
+    if not same_shape(_size(image), size) and exif.turned:
+        image = upright(image, exif.orientation)
     ignored = _transparent(image)
     if ignored is None:
         brightness = image if image.ndim == 2 else image[..., :3].max(axis=2)
-        ignored = ~(2.0 * brightness >= max(float(brightness.max()), 1e-9))
-    height, width = ignored.shape
+        ignored = ~(brightness >= max(float(brightness.max()), 1e-9) / 2)
+    width, height = _size(image)
     if ignored.all() or not ignored.any():
         raise ValueError(
             f"{path}: ignores {'every pixel' if ignored.all() else 'no pixel'}; "
             "make it black (or transparent) where the images show no floor, white elsewhere"
         )
-    scale = width / size[0]
-    if abs(height - scale * size[1]) > max(1.0, scale):
+    if (width, height) == size:
+        return ignored, ()
+    if not same_shape((width, height), size):
         raise ValueError(
             f"{path}: {width}x{height} pixels, but the images have {size[0]}x{size[1]}; give a mask of that size"
         )
-    return cv2.resize(ignored.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST_EXACT) > 0
+    scaled = cv2.resize(ignored.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST_EXACT) > 0
+    return scaled, (f"{path}: a mask of {width}x{height} pixels, scaled to the images' {size[0]}x{size[1]}",)
 
 
 def alpha_mask(paths: Sequence[str | Path], size: tuple[int, int]) -> Bool[np.ndarray, "H W"] | None:
@@ -64,7 +74,7 @@ def alpha_mask(paths: Sequence[str | Path], size: tuple[int, int]) -> Bool[np.nd
         try:
             if not _may_have_alpha(path):
                 return None
-            image = _decode(path, cv2.IMREAD_UNCHANGED)
+            image = fitting(*read_stored(path, cv2.IMREAD_UNCHANGED), size)
         except (OSError, BrokenFrame):
             continue
         if image.shape[:2] == ignored.shape:
@@ -73,6 +83,10 @@ def alpha_mask(paths: Sequence[str | Path], size: tuple[int, int]) -> Bool[np.nd
                 return None
             ignored &= transparent
     return None if ignored.all() or not ignored.any() else ignored
+
+
+def _size(image: np.ndarray) -> tuple[int, int]:
+    return image.shape[1], image.shape[0]
 
 
 def _transparent(image: np.ndarray) -> Bool[np.ndarray, "H W"] | None:

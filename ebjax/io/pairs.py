@@ -1,15 +1,19 @@
 """A folder of pairs of images of one floor with known homographies: one folder a pair, with a.*, b.* and gt.json."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
+from ebjax.io.image_folder import SUFFIXES
+from ebjax.io.image_kinds import SUFFIXES as UNREAD
+from ebjax.io.image_kinds import conversion
+from ebjax.io.json_text import parse_json
 from ebjax.io.text import read_text
 
-IMAGES = (".png", ".jpg", ".jpeg")
+MOST = 1e12
+"""Larger numbers, NaN too, are no pixels."""
 FORM = 'give "quad": four (x, y) px of a\'s floor, and "H_a_to_b": 3 x 3, px of a to px of b'
 
 
@@ -49,19 +53,25 @@ def read_pairs(folder: str | Path) -> list[PairFiles]:
 
 
 def _read_pair(path: Path) -> PairFiles:
+    text = read_text(path)
     try:
-        values = json.loads(read_text(path))
+        values = parse_json(text)
         quad, homography = (np.array(values[key], np.float64) for key in ("quad", "H_a_to_b"))
-    except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{path}: {FORM} ({' '.join(str(error).split())})") from None
-    numbers = np.isfinite(quad).all() and np.isfinite(homography).all()
-    if quad.shape != (4, 2) or homography.shape != (3, 3) or not numbers or abs(np.linalg.det(homography)) < 1e-12:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise ValueError(f"{path}: {FORM} ({' '.join(str(error).split())[:100]})") from None
+    small = all((np.abs(array) < MOST).all() for array in (quad, homography))
+    if quad.shape != (4, 2) or homography.shape != (3, 3) or not small or abs(np.linalg.det(homography)) < 1e-12:
         raise ValueError(f"{path}: {FORM}")
     return PairFiles(path.parent.name, _image(path, "a"), _image(path, "b"), quad, homography)
 
 
 def _image(path: Path, side: str) -> Path:
-    found = [image for image in sorted(path.parent.glob(f"{side}.*")) if image.suffix.lower() in IMAGES]
+    files = [file for file in sorted(path.parent.glob(f"{side}.*")) if not file.is_dir()]
+    found = [file for file in files if file.suffix.lower() in SUFFIXES]
     if not found:
-        raise ValueError(f"{path.parent}: no image {side}.png or {side}.jpg")
+        unread = [file for file in files if file.suffix.lower().lstrip(".") in UNREAD]
+        said = f"; {unread[0].name} is not read: {conversion(unread[0])}" if unread else ""
+        raise ValueError(f"{path.parent}: no image {side}.png or {side}.jpg{said}")
+    if len(found) > 1:
+        raise ValueError(f"{path.parent}: both {found[0].name} and {found[1].name}; remove one of the two")
     return found[0]

@@ -17,7 +17,7 @@ Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 FLOOR_FRAMES = "the poses of base_link (x forward, y left, z up) in a world with z up"
 W_FIRST = (
     "its quaternions are written qw qx qy qz: so read base_link stands upright, read as qx qy qz qw it does not. "
-    "Write the columns as `timestamp tx ty tz qx qy qz qw`"
+    "Write the columns as `timestamp tx ty tz qx qy qz qw`, or make `# timestamp tx ty tz qw qx qy qz` the first line"
 )
 INVERSE = (
     "its poses are inverted: they map the world into the moving frame. Write the inverse of each pose, "

@@ -39,6 +39,20 @@ def quaternion_from_rotation(rotation: Float[np.ndarray, "N 3 3"]) -> Float[np.n
     return np.where(quaternion[:, :1] < 0, -quaternion, quaternion)
 
 
+def quaternion_from_angles(roll_pitch_yaw: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 4"]:
+    """Returns the quaternions (wxyz) of Rz(yaw) Ry(pitch) Rx(roll), rad."""
+    (cr, cp, cy), (sr, sp, sy) = np.cos(roll_pitch_yaw / 2).T, np.sin(roll_pitch_yaw / 2).T
+    return np.stack(
+        [
+            cr * cp * cy + sr * sp * sy,
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+        ],
+        axis=1,
+    )
+
+
 def poses_from(
     rotation: Float[np.ndarray, "N 3 3"], translation: Float[np.ndarray, "N 3"]
 ) -> Float[np.ndarray, "N 4 4"]:
@@ -98,6 +112,6 @@ def rigid_fault(pose: Float[np.ndarray, "4 4"], tolerance: float = 1e-3) -> str:
     rotation = pose[:3, :3]
     if not np.allclose(pose[3], [0, 0, 0, 1], rtol=0, atol=1e-9):
         return "its last row is not 0 0 0 1"
-    if np.abs(rotation @ rotation.T - np.eye(3)).max() > tolerance:
+    if not np.abs(rotation).max() < 2 or np.abs(rotation @ rotation.T - np.eye(3)).max() > tolerance:
         return "its 3x3 part is not a rotation (rows must be orthonormal)"
     return "its 3x3 part is a reflection (determinant -1)" if np.linalg.det(rotation) < 0 else ""

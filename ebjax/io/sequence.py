@@ -11,9 +11,12 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from ebjax.io.camera_file import CameraFile
-from ebjax.io.images import BrokenFrame, check_size, depth_share, fitted_depth, read_image
-from ebjax.io.logs.camera import mounted
+from ebjax.io.clocks import overlap, seconds_text, time_range
+from ebjax.io.depth_images import depth_share, fitted_depth
+from ebjax.io.images import BrokenFrame, check_size, read_image
+from ebjax.io.logs.camera import camera_of
 from ebjax.io.logs.log import Images, Log
+from ebjax.io.logs.log_clock import log_in_seconds
 from ebjax.io.logs.open import open_log
 from ebjax.io.timed_poses import MAX_BEYOND_S, MAX_GAP_S, nearest, poses_at, poses_everywhere, spacing
 from ebjax.io.trajectory import Trajectory
@@ -173,13 +176,16 @@ def read_sequence(
         frames, odometry or depth for too few frames; names the file, the line or key, and the remedy.
     """
     log = log if isinstance(log, Log) else open_log(log, depth=depth)
-    camera = camera or mounted(log, log.camera)
+    said: tuple[str, ...] = ()
+    if camera is None:
+        camera, said = camera_of(log)
+    log = log_in_seconds(log.fitting((camera.width, camera.height)), time_offset_s)
     colour, stamps = log.colour, log.colour.timestamps
     if len(colour) < 2:
         count = "one frame only" if len(colour) else "no frames"
         raise ValueError(f"{colour.source}: {count}; a run needs at least two images")
     rule = f"within {max_time_difference_s:g} s or between two samples at most {max_gap_s:g} s apart"
-    rows, notes = np.arange(len(colour)), list(log.notes)
+    rows, notes = np.arange(len(colour)), [*log.notes, *said, *colour.notes]
 
     driven, odom_from_base = None, None
     dropped: tuple[tuple[str, str], ...] = ()
@@ -192,8 +198,12 @@ def read_sequence(
         if found.mean() < min_coverage or found.sum() < 2:
             raise ValueError(
                 f"{log.odometry.path}: {found.sum()} of {len(colour)} frames have an odometry pose {rule}; at least "
-                f"{min_coverage:.0%} must. {_spans(driven, stamps + time_offset_s)}: give the whole run's odometry, "
-                "or set --max-gap-s higher or --min-coverage lower"
+                f"{min_coverage:.0%} must. {_spans(driven, stamps + time_offset_s)}: "
+                + (
+                    _offset_hint(driven, stamps, max_time_difference_s, max_gap_s)
+                    if overlap(driven.timestamps, stamps + time_offset_s) == 0
+                    else "give the whole run's odometry, or set --max-gap-s higher or --min-coverage lower"
+                )
             )
         dropped = tuple((colour.names[k], f"no odometry pose {rule}") for k in np.flatnonzero(~found))
         rows, odom_from_base = np.flatnonzero(found), odom_from_base[found]
@@ -207,7 +217,7 @@ def read_sequence(
         if not known.any():
             raise ValueError(
                 f"{log.truth.path}: 0 of {len(rows)} frames have a pose {rule}. "
-                f"{_spans(truth, stamps + time_offset_s)}: correct its clock, or move the file away"
+                f"{_spans(truth, stamps + time_offset_s)}: {_truth_remedy(truth, stamps + time_offset_s)}"
             )
     paired = None
     if depth and log.depth is not None:
@@ -231,7 +241,27 @@ def read_sequence(
 
 
 def _spans(trajectory: Trajectory, times: Float[np.ndarray, " N"]) -> str:
-    return f"{spacing(trajectory)}; the images are from {times[0]:.3f} to {times[-1]:.3f} s"
+    return f"{spacing(trajectory)}; the images are from {time_range(times)}"
+
+
+def _offset_hint(
+    odometry: Trajectory, stamps: Float[np.ndarray, " N"], max_time_difference_s: float, max_gap_s: float
+) -> str:
+    """What to do where no frame lies within the odometry: the clocks differ, and only both starts can be compared."""
+    offset = float(seconds_text(float(odometry.timestamps[0] - stamps[0])))
+    found = int(poses_at(odometry, stamps + offset, max_time_difference_s, max_gap_s)[1].sum())
+    return (
+        f"the clocks differ. If both began at once, --time-offset-s {seconds_text(offset)}, added to the images' "
+        f"times, pairs {found} of {len(stamps)}; else give the odometry of this run on the images' clock"
+    )
+
+
+def _truth_remedy(truth: Trajectory, times: Float[np.ndarray, " N"]) -> str:
+    remedy = "move the file away"
+    if overlap(truth.timestamps, times) > 0:
+        return f"set --max-gap-s higher, or {remedy}"
+    ahead = seconds_text(float(times[0] - truth.timestamps[0]))
+    return f"the clocks differ. If both began at once, add {ahead} s to the times in it, or {remedy}"
 
 
 def _match_depth(
@@ -242,9 +272,12 @@ def _match_depth(
     closest = nearest(depth.timestamps, times)
     near = np.abs(depth.timestamps[closest] - times) <= max_time_difference_s
     if near.mean() < min_coverage:
+        remedy = "set --max-time-difference-s or --min-coverage, or run"
+        if overlap(depth.timestamps, times) == 0:
+            remedy = "the clocks differ; give depth images with the images' times, or run"
         raise ValueError(
             f"{depth.source}: {near.sum()} of {len(times)} frames have a depth image within {max_time_difference_s:g} "
-            "s; at least "
-            f"{min_coverage:.0%} must: set --max-time-difference-s or --min-coverage, or run with --depth none"
+            f"s; at least {min_coverage:.0%} must. Its times are {time_range(depth.timestamps)}, the images' "
+            f"{time_range(times)}: {remedy} with --depth none"
         )
     return np.where(near, closest, -1)

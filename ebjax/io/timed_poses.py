@@ -3,6 +3,7 @@
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from ebjax.io.clocks import time_range
 from ebjax.io.poses import interpolate
 from ebjax.io.trajectory import Trajectory
 
@@ -68,7 +69,7 @@ def poses_everywhere(
     if (beyond > max_beyond_s).any():
         raise ValueError(
             f"{trajectory.path}: {(beyond > max_beyond_s).sum()} frames lie more than {max_beyond_s:g} s outside its "
-            f"{stamps[0]:.3f} to {stamps[-1]:.3f} s, up to {beyond.max():.3f} s; use a smaller time offset"
+            f"{time_range(stamps)}, up to {beyond.max():.3f} s; use a smaller time offset"
         )
     if len(stamps) == 1:
         return np.repeat(poses, len(times), axis=0)
@@ -87,9 +88,9 @@ def spacing(trajectory: Trajectory) -> str:
     """Says in a few words when a trajectory's samples are, how far apart, and how long its largest gap is."""
     stamps = trajectory.timestamps
     if len(stamps) == 1:
-        return f"Its one sample is at {stamps[0]:.3f} s"
+        return f"Its one sample is at {time_range(stamps)}"
     gaps = np.diff(stamps)
     return (
         f"Its samples lie {np.median(gaps):.3g} s apart (median; the largest gap is {gaps.max():.3g} s), "
-        f"from {stamps[0]:.3f} to {stamps[-1]:.3f} s"
+        f"from {time_range(stamps)}"
     )

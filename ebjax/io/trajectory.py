@@ -1,20 +1,20 @@
-"""Trajectories in files: TUM, KITTI, planar rows `x y theta_deg` and g2o vertices; TUM and KITTI are written too.
+"""Trajectories in files: tables of poses (TUM, KITTI, EuRoC, RTAB-Map, any with a header) and vertices of pose graphs.
 
 TUM: `timestamp tx ty tz qx qy qz qw`, `#` comments. KITTI: the first three rows of the 4x4 pose, row-major, no times.
 Every reader takes .gz. A pose maps the moving frame into the fixed one, metres.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ebjax.io.atomic import whole_file
-from ebjax.io.poses import poses_from, quaternion_from_rotation, rigid_fault, rotation_from_quaternion
-from ebjax.io.text import check_increasing, data_lines, floats
+from ebjax.io.g2o_vertices import is_pose_graph, read_vertices
+from ebjax.io.pose_table.rows import PoseRows, lines_listed, read_pose_rows
+from ebjax.io.poses import quaternion_from_rotation
+from ebjax.io.text import data_lines
 
 
 @dataclass(frozen=True)
@@ -22,135 +22,102 @@ class Trajectory:
     """Poses in time order.
 
     Attributes:
-      timestamps: s; row numbers 0, 1, 2, ... where the file has no times.
+      timestamps: s; where the file has no times its rows' numbers from 0, without those of rows left out.
       poses: fixed_from_moving, metres.
       path: the file they came from.
       timed: whether the file has times.
+      notes: what was converted, guessed or left out while reading, a line each that names the file.
     """
 
     timestamps: Float[np.ndarray, " N"]
     poses: Float[np.ndarray, "N 4 4"]
     path: str
     timed: bool = True
-
-
-def _rows(path: str | Path, columns: int, layout: str) -> list[tuple[int, list[float]]]:
-    rows = []
-    for number, line in data_lines(path):
-        fields = line.replace(",", " ").split()
-        if len(fields) != columns:
-            raise ValueError(f"{path} line {number}: {len(fields)} columns; a {layout} row has {columns}")
-        rows.append((number, floats(path, number, fields)))
-    if not rows:
-        raise ValueError(f"{path}: no poses; a {layout} file has one row of {columns} numbers a pose")
-    return rows
-
-
-def _rotations(
-    path: str | Path, numbers: list[int], quaternion: Float[np.ndarray, "N 4"]
-) -> Float[np.ndarray, "N 3 3"]:
-    wrong = np.flatnonzero(np.abs(np.linalg.norm(quaternion, axis=1) - 1) > 0.05)
-    if wrong.size:
-        raise ValueError(f"{path} line {numbers[wrong[0]]}: the quaternion's length is not 1; its order is qx qy qz qw")
-    return rotation_from_quaternion(quaternion)
-
-
-def _untimed(path: str | Path, poses: Float[np.ndarray, "N 4 4"]) -> Trajectory:
-    return Trajectory(np.arange(len(poses), dtype=np.float64), poses, str(path), timed=False)
-
-
-def _planar(x: np.ndarray, y: np.ndarray, theta_rad: np.ndarray) -> Float[np.ndarray, "N 4 4"]:
-    zero = np.zeros_like(x)
-    quaternion = np.stack([np.cos(theta_rad / 2), zero, zero, np.sin(theta_rad / 2)], axis=1)
-    return poses_from(rotation_from_quaternion(quaternion), np.stack([x, y, zero], axis=1))
-
-
-def read_tum(path: str | Path, *, repeats: bool = False) -> Trajectory:
-    """Reads `timestamp tx ty tz qx qy qz qw` rows (s, m, unit quaternion); commas may separate.
-
-    Args:
-      path: the file.
-      repeats: whether a timestamp may occur twice, as in some motion-capture files.
-
-    Raises:
-      FileNotFoundError: there is no such file.
-      ValueError: no rows, a wrong number of columns, NaN, a quaternion that is not of length 1, unsorted or duplicate
-        timestamps; names file and line.
-    """
-    rows = _rows(path, 8, "TUM trajectory")
-    check_increasing(path, [(number, row[0]) for number, row in rows], repeats=repeats)
-    table = np.array([row for _, row in rows])
-    rotation = _rotations(path, [number for number, _ in rows], table[:, [7, 4, 5, 6]])
-    return Trajectory(table[:, 0], poses_from(rotation, table[:, 1:4]), str(path))
-
-
-def read_kitti(path: str | Path) -> Trajectory:
-    """Reads KITTI rows: 12 numbers, the pose's first three rows.
-
-    Raises:
-      FileNotFoundError: there is no such file.
-      ValueError: no rows, a wrong number of columns, NaN, or a row that is not a rigid transform; names file and line.
-    """
-    rows = _rows(path, 12, "KITTI trajectory")
-    poses = np.tile(np.eye(4), (len(rows), 1, 1))
-    poses[:, :3] = np.array([row for _, row in rows]).reshape(-1, 3, 4)
-    gram = poses[:, :3, :3] @ np.swapaxes(poses[:, :3, :3], 1, 2)
-    suspect = (np.abs(gram - np.eye(3)[None]).max(axis=(1, 2)) > 1e-2) | (np.linalg.det(poses) < 0)
-    for (number, _), pose in ((rows[i], poses[i]) for i in np.flatnonzero(suspect)):
-        if fault := rigid_fault(pose, tolerance=1e-2):
-            raise ValueError(f"{path} line {number}: not a pose, {fault}; correct or remove the line")
-    return _untimed(path, poses)
-
-
-def read_planar(path: str | Path) -> Trajectory:
-    """Reads `x y theta_deg` rows (m, degrees); raises as `read_kitti` does."""
-    table = np.array([row for _, row in _rows(path, 3, "planar trajectory")])
-    return _untimed(path, _planar(table[:, 0], table[:, 1], np.deg2rad(table[:, 2])))
-
-
-def read_g2o_vertices(path: str | Path) -> Trajectory:
-    """Reads the VERTEX_SE2 or VERTEX_SE3:QUAT lines of a g2o file, in file order; raises as `read_kitti` does."""
-    lines = [(number, line.split()) for number, line in data_lines(path)]
-    rows = [(number, f[0], floats(path, number, f[2:])) for number, f in lines if f[0].startswith("VERTEX_SE")]
-    if not rows:
-        raise ValueError(f"{path}: no VERTEX_SE2 or VERTEX_SE3:QUAT line; give a pose graph with vertices")
-    sizes = {"VERTEX_SE2": 3, "VERTEX_SE3:QUAT": 7}
-    for number, tag, values in rows:
-        if tag != rows[0][1] or len(values) != sizes.get(tag):
-            raise ValueError(
-                f"{path} line {number}: a {tag} line with {len(values)} numbers after the id; one kind a file"
-            )
-    table = np.array([values for _, _, values in rows])
-    if rows[0][1] == "VERTEX_SE2":
-        return _untimed(path, _planar(*table.T))
-    rotation = _rotations(path, [number for number, _, _ in rows], table[:, [6, 3, 4, 5]])
-    return _untimed(path, poses_from(rotation, table[:, :3]))
+    notes: tuple[str, ...] = ()
 
 
 def read(path: str | Path) -> Trajectory:
-    """Reads a trajectory, its layout recognised by its first row; a timestamp may occur twice.
+    """Reads a trajectory: columns by the file's header, or by their number; a stamp may occur twice, see `read_tum`.
 
     Raises:
       FileNotFoundError: there is no such file.
-      ValueError: no known layout, or what the layout's reader raises; names file and line.
+      ValueError: columns that are not known, what is no number or no rotation, no poses, unsorted times; names file,
+        line and remedy.
     """
-    lines = data_lines(path)
-    if not lines:
-        raise ValueError(f"{path}: no poses; give a TUM, KITTI, `x y theta_deg` or g2o file")
-    number, first = lines[0]
-    if any(line.startswith(("VERTEX_SE", "EDGE_SE")) for _, line in lines):
-        return read_g2o_vertices(path)
-    columns = len(first.replace(",", " ").split())
-    readers: dict[int, Callable[[str | Path], Trajectory]] = {
-        3: read_planar,
-        8: partial(read_tum, repeats=True),
-        12: read_kitti,
-    }
-    if columns not in readers:
+    if is_pose_graph(data_lines(path)):
+        poses, notes = read_vertices(path)
+        return Trajectory(np.arange(len(poses), dtype=np.float64), poses, str(path), False, notes)
+    rows = read_pose_rows(path)
+    if rows.timestamps is None:
+        return Trajectory(np.array(rows.rows, np.float64), rows.poses, str(path), False, rows.notes)
+    return _in_time(rows, repeats=True)
+
+
+def read_tum(path: str | Path, *, repeats: bool = False) -> Trajectory:
+    """Reads a trajectory that has times, in any layout that `read` knows.
+
+    A row that repeats the stamp and the pose of the row before is left out. Another pose at the same stamp is refused,
+    unless it is as near as the neighbours in time: then stamps were rounded, as in some motion-capture files.
+
+    Args:
+      path: the file.
+      repeats: whether a near pose at the same stamp stays; else it is left out.
+
+    Raises:
+      FileNotFoundError: there is no such file.
+      ValueError: as `read`, and a file without times.
+    """
+    if not is_pose_graph(data_lines(path)):
+        rows = read_pose_rows(path)
+        if rows.timestamps is not None:
+            return _in_time(rows, repeats=repeats)
+    raise ValueError(f"{path}: it has no times; give rows `timestamp tx ty tz qx qy qz qw`")
+
+
+def _in_time(rows: PoseRows, *, repeats: bool) -> Trajectory:
+    """Checks the order of the times, and leaves out what is there twice."""
+    stamps, poses, numbers, notes = rows.timestamps, rows.poses, np.array(rows.numbers), list(rows.notes)
+    assert stamps is not None
+    earlier = np.flatnonzero(np.diff(stamps) < 0)
+    if earlier.size:
+        k = earlier[0]
         raise ValueError(
-            f"{path} line {number}: {columns} columns; a TUM row has 8, a KITTI row 12, an `x y theta_deg` row 3"
+            f"{rows.path} line {numbers[k + 1]}: timestamp {stamps[k + 1]:.6f} is earlier than {stamps[k]:.6f} in line "
+            f"{numbers[k]}; sort the file by time"
         )
-    return readers[columns](path)
+    again = np.append(False, np.diff(stamps) == 0)
+    same = again & np.append(False, (np.abs(np.diff(poses, axis=0)) < 1e-9).all(axis=(1, 2)))
+    if same.any():
+        where = lines_listed(numbers[same].tolist())
+        notes.append(f"{rows.path}: {same.sum()} rows repeat the row before, time and pose, and are left out: {where}")
+    kept = ~same
+    other = _other_poses(rows.path, stamps[kept], poses[kept], numbers[kept])
+    if other.any():
+        where, fate = lines_listed(numbers[kept][other].tolist()), "kept" if repeats else "left out"
+        notes.append(f"{rows.path}: the time of the row before, and a pose near it: {where} ({fate})")
+        kept[np.flatnonzero(kept)[other]] = repeats
+    return Trajectory(stamps[kept], poses[kept], rows.path, True, tuple(notes))
+
+
+def _other_poses(
+    path: str, stamps: Float[np.ndarray, " N"], poses: Float[np.ndarray, "N 4 4"], numbers: np.ndarray
+) -> Bool[np.ndarray, " N"]:
+    """Which rows have the stamp of the row before and another pose, as near as rows of other times are."""
+    again = np.append(False, np.diff(stamps) == 0)
+    far = np.zeros(len(stamps), bool)
+    for part in (poses[:, :3, 3], poses[:, :3, :3].reshape(-1, 9)):
+        step = np.append(0.0, np.linalg.norm(np.diff(part, axis=0), axis=1))
+        # Steps into and out of such a row are left out of what is usual.
+        usual = step[1:][~(again[1:] | again[:-1])]
+        far |= again & (step > 2 * (np.quantile(usual, 0.99) if len(usual) else 0.0) + 1e-9)
+    far = np.flatnonzero(far)
+    if far.size:
+        k = far[0]
+        raise ValueError(
+            f"{path} line {numbers[k]}: another pose at timestamp {stamps[k]:.6f}, which is also line "
+            f"{numbers[k - 1]}'s; remove one of the two"
+        )
+    return again
 
 
 def write_tum(

@@ -16,6 +16,7 @@ from jaxtyping import Float
 
 from ebjax.io.calibration.calibration import Calibration
 from ebjax.io.logs.bag_index import EXTRA
+from ebjax.io.logs.camera import calibration_of
 from ebjax.io.logs.log import Log
 from ebjax.io.logs.tum_folder import open_tum_folder
 from ebjax.io.poses import quaternion_from_rotation
@@ -53,17 +54,22 @@ def write_bag(path: str | Path, folder: str | Path, kind: BagKind) -> None:
     require_rosbags()
     path, log = Path(path), open_tum_folder(folder)
     path.parent.mkdir(parents=True, exist_ok=True)
-    if log.camera is None:
+    if (camera := calibration_of(log)) is None:
         raise ValueError(f"{folder}: {log.missing['camera']}")
-    depth_files = _depth_files(log, log.camera)
+    if log.colour.fitting((camera.width, camera.height)) is not log.colour:
+        raise ValueError(
+            f"{folder}: its images must be turned as EXIF asks, which a bag cannot tell; "
+            f"write them so: python -m ebjax.logs {folder} --out FOLDER"
+        )
+    depth_files = _depth_files(log, camera)
     with tempfile.TemporaryDirectory(prefix=f".{path.name}.", suffix=".partial", dir=path.parent) as temporary:
         bag = _Bag(Path(temporary), kind)
         with bag.writer:
-            bag.static_tf(log.colour.timestamps[0], log.camera)
+            bag.static_tf(log.colour.timestamps[0], camera)
             for time, _, what, row in _in_time_order(log):
                 if what == "image":
                     bag.image(time, log.colour.files[row])
-                    bag.info(time, log.camera)
+                    bag.info(time, camera)
                 elif what == "depth":
                     bag.depth(time, depth_files[row])
                 elif what == "odometry" and log.odometry is not None:
@@ -77,7 +83,7 @@ def write_bag(path: str | Path, folder: str | Path, kind: BagKind) -> None:
 def _depth_files(log: Log, camera: Calibration) -> tuple[Path, ...]:
     if log.depth is None:
         return ()
-    files = tuple(log.path / name for name in log.depth.names)
+    files = log.depth.files
     if camera.depth_scale != MILLIMETRES:
         raise ValueError(
             f"{log.path / 'camera.json'}: 'depth_scale' is {camera.depth_scale}; a bag has depth in millimetres: store "

@@ -57,6 +57,7 @@ def convert(
       OSError: the folder cannot be written, or the disk is full; names the file.
     """
     check_out(out, log.path)
+    log = log.fitting((camera.width, camera.height))
     state = {
         "log": source_state(log.path),
         "options": dataclasses.asdict(options),

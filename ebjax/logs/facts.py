@@ -7,7 +7,7 @@ import numpy as np
 
 from ebjax.io.camera_file import CameraFile
 from ebjax.io.logs.bag import open_files
-from ebjax.io.logs.camera import given_camera, mounted
+from ebjax.io.logs.camera import calibration_of, mounted
 from ebjax.io.logs.log import Log
 from ebjax.io.logs.mount_options import MOUNT, NOTHING, MountOptions
 from ebjax.io.sequence import read_sequence
@@ -34,12 +34,12 @@ def log_facts(
       ValueError: the calibration file or the mount cannot be used; names it.
     """
     stamps, close = log.colour.timestamps, max_time_difference_s
-    camera = log.camera if camera_file is None else given_camera(log, camera_file)
-    known = [one.base_from_camera for one in (camera, log.camera) if one is not None]
-    pose = mount.pose(next((one for one in known if one is not None), None))
+    camera = calibration_of(log, camera_file, mount)
+    log = log if camera is None else log.fitting((camera.width, camera.height))
+    pose = mount.pose(log.base_from_camera) if camera is None else camera.base_from_camera
     notes, refused = () if camera is None else camera.notes, None if len(stamps) > 1 else ONE_IMAGE
     if camera is not None and pose is not None:
-        said, refused = _tried(log, mounted(log, camera, mount), close)
+        said, refused = _tried(log, mounted(camera), close)
         notes += said
     facts = {
         "kind": log.kind,
@@ -50,7 +50,7 @@ def log_facts(
         "odometry": None if log.odometry is None else pose_facts(log.odometry, stamps, close),
         "truth": None if log.truth is None else pose_facts(log.truth, stamps, close),
         "contents": list(log.contents),
-        "notes": list(dict.fromkeys((*log.notes, *notes))),
+        "notes": list(dict.fromkeys((*log.notes, *log.colour.notes, *notes))),
         "missing": _missing(log, camera is None, pose is None, mount),
         "refused": refused,
         "ready": camera is not None and pose is not None and refused is None,

@@ -25,7 +25,7 @@ def colour_bytes(images: Images, index: int) -> tuple[bytes, str, UInt8[np.ndarr
     content = _stored(images, index)
     suffix = ".jpg" if content[:2] == b"\xff\xd8" else ".png" if content[:8] == PNG_SIGNATURE else None
     if suffix is not None:
-        bgr = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
+        bgr = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
         if bgr is not None and np.array_equal(bgr[:, :, ::-1], rgb):
             return content, suffix, rgb
     return _encoded(".jpg", rgb[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, QUALITY]), ".jpg", rgb

@@ -10,6 +10,7 @@ from safetensors.numpy import load_file
 
 from ebjax.models.matlab import read_struct
 from ebjax.models.pickled import Tensor, read_torch
+from ebjax.models.weights import in_short
 
 WRAPPERS = ("state_dict", "model")  # where training scripts put the weights beside their own state
 
@@ -37,9 +38,8 @@ def read_checkpoint(path: str | Path) -> dict[str, np.ndarray]:
     except OSError as error:
         raise ValueError(f"{path}: not a whole checkpoint ({error})") from None
     except Exception as error:  # a damaged file can raise anything
-        reason = " ".join(str(error).split()) or type(error).__name__
         missing = "misses " * isinstance(error, KeyError)
-        raise ValueError(f"{path}: not a whole checkpoint ({missing}{reason})") from None
+        raise ValueError(f"{path}: not a whole checkpoint ({missing}{in_short(error)})") from None
 
 
 def _tensors(path: Path) -> dict[str, np.ndarray]:

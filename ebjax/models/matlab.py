@@ -1,4 +1,4 @@
-"""Reads the struct of NetVLAD's .mat files, of MATLAB's version 5 (SciPy) or 7.3 (HDF5), into a flat mapping.
+"""Reads the struct of NetVLAD's .mat files, of MATLAB's version 5 or 7.3 (HDF5), into a flat mapping.
 
 Keys are `layers.{i}.weights.{n}`, counted from 0, and `meta.normalization.averageImage`; arrays have MATLAB's shapes.
 """
@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from ebjax.models.matlab5 import Cells, Structs, read_variable
 
 AVERAGE = "meta.normalization.averageImage"
 
@@ -24,14 +26,24 @@ def read_struct(path: Path) -> dict[str, np.ndarray]:
 
 
 def _version_5(path: Path) -> dict[str, np.ndarray]:
-    from scipy.io import loadmat
-
-    net = loadmat(path, variable_names=["net"], struct_as_record=False)["net"][0, 0]
-    state = {AVERAGE: net.meta[0, 0].normalization[0, 0].averageImage}
-    for i, layer in enumerate(net.layers.reshape(-1)):
-        weights = getattr(layer[0, 0], "weights", np.empty(0))
-        state |= {f"layers.{i}.weights.{n}": array for n, array in enumerate(weights.reshape(-1))}
+    net = _struct(read_variable(path, "net"), "net")
+    normalization = _struct(_struct(net.get("meta"), "net.meta").get("normalization"), "net.meta.normalization")
+    state = {AVERAGE: normalization["averageImage"]}
+    layers = net["layers"]
+    if not isinstance(layers, Cells):
+        raise ValueError("net.layers is no cell array")
+    for i, layer in enumerate(layers.parts):
+        weights = _struct(layer, f"net.layers{{{i + 1}}}").get("weights")
+        if isinstance(weights, Cells):
+            state |= {f"layers.{i}.weights.{n}": array for n, array in enumerate(weights.parts)}
     return _numbers(state)
+
+
+def _struct(value: Any, name: str) -> dict[str, Any]:
+    """The fields of a single struct."""
+    if not isinstance(value, Structs) or len(value.parts) != 1:
+        raise ValueError(f"{name} is no struct")
+    return value.parts[0]
 
 
 def _version_7(path: Path) -> dict[str, np.ndarray]:

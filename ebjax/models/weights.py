@@ -57,12 +57,17 @@ def load_weights(path: str | Path) -> tuple[str, dict[str, np.ndarray]]:
             name = (file.metadata() or {}).get(NAME)
             arrays = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
     except SafetensorError as error:
-        raise ValueError(f"{path}: not a whole safetensors file ({error})") from None
+        raise ValueError(f"{path}: not a whole safetensors file ({in_short(error)})") from None
     if name is None:
         raise ValueError(
             f"{path}: not weights of ebjax; make them with `python -m ebjax.models convert CHECKPOINT OUT.safetensors`"
         )
     return name, arrays
+
+
+def in_short(error: Exception) -> str:
+    """What an error of another library says, in one line that is not too long."""
+    return " ".join(str(error).split())[:200] or type(error).__name__
 
 
 def flat_arrays(module: nnx.Module) -> dict[str, Any]:

@@ -7,7 +7,7 @@ import pytest
 
 from ebjax.geometry.camera import camera_over_floor, image_from_floor
 from ebjax.geometry.mount import Mounting, base_from_mounted_camera, remounted
-from ebjax.geometry.mount_numbers import mount_of, pose_of
+from ebjax.geometry.mount_numbers import mount_of, pose_of, pose_of_homography
 from ebjax.slam.world import matrices
 
 MOUNTS = np.array([[0.3, 0.0, 0.0, 0.5, 0.2, 0.0], [0.4, -0.1, 0.2, 1.1, -0.3, 0.1], [-0.2, 0.3, -2.5, 0.8, 0.0, 0.4]])
@@ -62,3 +62,19 @@ def test_derivatives_in_the_corrections():
         step = 1e-6 * np.eye(3)[k]
         numeric = (value(*(a + s for a, s in zip(at, step))) - value(*(a - s for a, s in zip(at, step)))) / 2e-6  # noqa: B905
         assert float(slope) == pytest.approx(float(numeric), rel=1e-7)
+
+
+@pytest.mark.parametrize(
+    "mount", [(0.3, 0.0, 0.0, 0.12, 0.06, 0.0), (0.5, -0.2, 0.4, 1.3, -0.2, 0.1), (0.2, 0.1, 3.0, 0.5, 0.0, 0.0)]
+)
+@pytest.mark.parametrize("scale", [1.0, -3.0])
+def test_a_homography_of_the_floor_tells_the_mount(mount, scale):
+    intrinsics = np.array([[300.0, 0, 310], [0, 305, 230], [0, 0, 1]])
+    base_from_camera = pose_of(np.array(mount))
+    camera_from_base = np.linalg.inv(base_from_camera)
+    image_from_floor = intrinsics @ camera_from_base[:3, [0, 1, 3]]
+    pose, stretch = pose_of_homography(intrinsics, scale * np.linalg.inv(image_from_floor))
+    np.testing.assert_allclose(pose, base_from_camera, atol=1e-9)
+    assert stretch < 1e-9
+    longer = np.diag([1.3, 1.0, 1.0]) @ intrinsics
+    assert pose_of_homography(longer, np.linalg.inv(image_from_floor))[1] > 0.1

@@ -78,3 +78,25 @@ def test_bad_values_name_file_and_key(tmp_path, key, value, words):
 def test_not_a_camera_file(tmp_path, text, words):
     with pytest.raises(ValueError, match=rf"camera\.json.*{words}"):
         read_camera(written(tmp_path, text))
+
+
+@pytest.mark.parametrize("key", ["k1", "dist_coeffs", "T_base_cam", "Camera.fx"])
+def test_unknown_keys_are_refused_by_name(tmp_path, key):
+    with pytest.raises(ValueError, match=rf"camera\.json: unknown key '{key}'; known are fx, .*, distortion_model, D"):
+        read_camera(written(tmp_path, CAMERA | {key: 1}))
+
+
+def test_a_key_that_is_there_twice_and_numbers_beyond_all_cameras(tmp_path):
+    text = json.dumps(CAMERA)
+    with pytest.raises(ValueError, match=r"camera\.json: 'fx' is there twice; remove one of the two"):
+        read_camera(written(tmp_path, text.replace('"fy"', '"fx": 300, "fy"')))
+    for value in ("1" + "0" * 400, "1e999", "-1e999"):
+        with pytest.raises(ValueError, match=r"camera\.json: 'cx' is .*, not a finite number"):
+            read_camera(written(tmp_path, text.replace("320.0", value)))
+
+
+@pytest.mark.parametrize("mark", [b"\xef\xbb\xbf"])
+def test_a_byte_order_mark_is_no_content(tmp_path, mark):
+    path = written(tmp_path, CAMERA)
+    path.write_bytes(mark + path.read_bytes())
+    assert read_camera(path).width == 640

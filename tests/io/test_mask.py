@@ -4,6 +4,7 @@ import pytest
 
 from ebjax.io.mask import alpha_mask, read_mask
 
+Image = pytest.importorskip("PIL.Image")
 SIZE = 64, 48
 IGNORED = np.zeros((48, 64), bool)
 IGNORED[36:, :50] = True
@@ -26,24 +27,41 @@ GREY = np.full((48, 64, 3), 90, np.uint8)
 )
 def test_black_or_transparent_is_ignored(tmp_path, image):
     cv2.imwrite(str(tmp_path / "mask.png"), image)
-    np.testing.assert_array_equal(read_mask(tmp_path / "mask.png", SIZE), IGNORED)
+    np.testing.assert_array_equal(read_mask(tmp_path / "mask.png", SIZE)[0], IGNORED)
 
 
 def test_one_bit_and_jpeg(tmp_path):
     cv2.imwrite(str(tmp_path / "mask.png"), USED, [cv2.IMWRITE_PNG_BILEVEL, 1])
-    np.testing.assert_array_equal(read_mask(tmp_path / "mask.png", SIZE), IGNORED)
+    np.testing.assert_array_equal(read_mask(tmp_path / "mask.png", SIZE)[0], IGNORED)
     cv2.imwrite(str(tmp_path / "mask.jpg"), USED, [cv2.IMWRITE_JPEG_QUALITY, 60])
-    assert (read_mask(tmp_path / "mask.jpg", SIZE) == IGNORED).mean() > 0.99
+    assert (read_mask(tmp_path / "mask.jpg", SIZE)[0] == IGNORED).mean() > 0.99
+
+
+@pytest.mark.parametrize("orientation", [1, 3, 6, 8])
+@pytest.mark.parametrize("mode", ["L", "RGB", "RGBA", "P"])
+def test_a_mask_is_as_stored_unless_only_turned_it_fits(tmp_path, mode, orientation):
+    exif = Image.Exif()
+    exif[0x0112] = orientation
+    Image.fromarray(USED).convert(mode).save(tmp_path / "mask.png", exif=exif)
+    np.testing.assert_array_equal(read_mask(tmp_path / "mask.png", SIZE)[0], IGNORED)
+    if orientation < 5:
+        with pytest.raises(ValueError, match="64x48 pixels, but the images have 48x64"):
+            read_mask(tmp_path / "mask.png", SIZE[::-1])
+    else:
+        turned = np.rot90(IGNORED, -1 if orientation == 6 else 1)
+        np.testing.assert_array_equal(read_mask(tmp_path / "mask.png", SIZE[::-1])[0], turned)
 
 
 def test_another_resolution_of_the_same_shape_is_scaled(tmp_path):
     cv2.imwrite(str(tmp_path / "mask.png"), USED)
-    large = read_mask(tmp_path / "mask.png", (640, 480))
+    assert read_mask(tmp_path / "mask.png", SIZE)[1] == ()
+    large, notes = read_mask(tmp_path / "mask.png", (640, 480))
+    assert notes == (f"{tmp_path / 'mask.png'}: a mask of 64x48 pixels, scaled to the images' 640x480",)
     np.testing.assert_array_equal(large, np.kron(IGNORED, np.ones((10, 10), bool)))
     # 97 / 2 is no whole number of pixels.
-    assert read_mask(tmp_path / "mask.png", (129, 97)).shape == (97, 129)
+    assert read_mask(tmp_path / "mask.png", (129, 97))[0].shape == (97, 129)
     cv2.imwrite(str(tmp_path / "large.png"), (~large).astype(np.uint8))
-    np.testing.assert_array_equal(read_mask(tmp_path / "large.png", SIZE), IGNORED)
+    np.testing.assert_array_equal(read_mask(tmp_path / "large.png", SIZE)[0], IGNORED)
 
 
 @pytest.mark.parametrize(

@@ -54,3 +54,17 @@ def test_what_is_missing_is_named(tmp_path):
     make(tmp_path / "pair", images=("a.png", "b.txt"))
     with pytest.raises(ValueError, match=r"pair: no image b\.png"):
         read_pairs(tmp_path)
+
+
+def test_two_images_of_one_side_and_one_that_is_not_read(tmp_path):
+    make(tmp_path / "pair", images=("a.png", "a.jpg", "b.png"))
+    with pytest.raises(ValueError, match=r"pair: both a\.jpg and a\.png; remove one of the two"):
+        read_pairs(tmp_path)
+    (tmp_path / "pair" / "a.jpg").unlink()
+    (tmp_path / "pair" / "b.png").rename(tmp_path / "pair" / "b.heic")
+    with pytest.raises(
+        ValueError, match=r"no image b\.png or b\.jpg; b\.heic is not read: convert it to PNG.*b\.heic b\.png"
+    ):
+        read_pairs(tmp_path)
+    (tmp_path / "pair" / "b.png").touch()
+    assert len(read_pairs(tmp_path)) == 1

@@ -7,6 +7,7 @@ from ebjax.io.poses import (
     interpolate,
     invert,
     poses_from,
+    quaternion_from_angles,
     quaternion_from_rotation,
     rigid_fault,
     rotation_from_quaternion,
@@ -26,6 +27,13 @@ def test_quaternions_agree_with_scipy_at_every_angle():
     expected = truth.as_quat(scalar_first=True)
     assert np.abs(np.abs(np.sum(quaternion * expected, axis=1)) - 1).max() < 1e-14
     np.testing.assert_allclose(rotation_from_quaternion(quaternion * 1.7), truth.as_matrix(), atol=1e-14)
+
+
+def test_angles_agree_with_scipy():
+    angles = np.random.default_rng(0).uniform(-np.pi, np.pi, (50, 3))
+    expected = Rotation.from_euler("ZYX", angles[:, ::-1]).as_quat(scalar_first=True)
+    found = quaternion_from_angles(angles)
+    np.testing.assert_allclose(np.abs((found * expected).sum(axis=1)), 1, atol=1e-14)
 
 
 def test_invert_is_the_inverse():

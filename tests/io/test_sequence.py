@@ -1,4 +1,5 @@
 import json
+import re
 
 import cv2
 import numpy as np
@@ -86,7 +87,8 @@ def test_poses_of_the_camera_are_put_right_with_a_note(folder, poses):
 def test_other_columns_are_refused_by_name(folder, poses, name):
     write_poses(folder / name, poses)
     rows = [line.split() for line in (folder / name).read_text().splitlines()[1:]]
-    (folder / name).write_text("".join(" ".join([*row[:4], row[7], *row[4:7]]) + "\n" for row in rows))
+    text = "".join(" ".join([*row[:4], row[7], *row[4:7]]) + "\n" for row in rows)
+    (folder / name).write_text("# timestamp tx ty tz qx qy qz qw\n" + text)
     with pytest.raises(ValueError, match=rf"{name}: its quaternions are written qw qx qy qz"):
         read_sequence(folder)
     if name == "odometry.txt":
@@ -214,6 +216,73 @@ def test_truth_with_another_clock_is_not_ignored(folder):
         read_sequence(folder)
 
 
+UNITS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
+
+
+def rewrite_times(path, shift, scale=1.0):
+    rows = [line.split(maxsplit=1) for line in path.read_text().splitlines() if not line.startswith("#")]
+    path.write_text("".join(f"{(float(stamp) + shift) * scale:.6f} {rest}\n" for stamp, rest in rows))
+
+
+@pytest.mark.parametrize("unit", UNITS)
+@pytest.mark.parametrize("names", [("rgb", "depth"), ("odometry",), ("groundtruth",), ("rgb", "odometry"), ("depth",)])
+def test_units_of_dates_are_converted_and_said(folder, unit, names):
+    for name in ("rgb", "depth", "odometry", "groundtruth"):
+        rewrite_times(folder / f"{name}.txt", 1.4e9, UNITS[unit] if name in names else 1.0)
+    run = read_sequence(folder)
+    assert len(run) == 10 and run.depth_rows.tolist() == list(range(10)) and run.dropped == ()
+    np.testing.assert_allclose(run.timestamps, 1.4e9 + 100 + np.arange(10) * 0.2, atol=1e-5)
+    np.testing.assert_allclose(run.odom_from_base[:, 0, 3], run.timestamps - 1.4e9, atol=1e-5)
+    np.testing.assert_allclose(run.world_from_base[3:, 0, 3], run.timestamps[3:] - 1.4e9, atol=1e-5)
+    for name in names:
+        assert sum(f"{name}.txt" in note and unit in note for note in run.notes) == 1, run.notes
+
+
+@pytest.mark.parametrize("names", [("rgb", "depth"), ("odometry",), ("groundtruth",)])
+def test_milliseconds_of_another_clock_are_recognised_beside_seconds(folder, names):
+    for name in names:
+        rewrite_times(folder / f"{name}.txt", 0.0, 1e3)
+    run = read_sequence(folder)
+    assert run.depth_rows.tolist() == list(range(10)) and np.isfinite(run.world_from_base[3:]).all()
+    np.testing.assert_allclose(run.odom_from_base[:, 0, 3], run.timestamps, atol=1e-9)
+    for name in names:
+        assert sum(f"{name}.txt: its times are milliseconds" in note for note in run.notes) == 1
+
+
+@pytest.mark.parametrize("shift", [-99.95, 1403636579.75, 3600.0])
+def test_odometry_of_another_clock_names_both_ranges_and_the_offset(folder, shift):
+    rewrite_times(folder / "odometry.txt", shift)
+    rewrite_times(folder / "groundtruth.txt", shift)
+    first = 99.95 + shift
+    with pytest.raises(
+        ValueError, match=rf"odometry\.txt: 0 of 10 .*{first:.3f} to .* images are from 100\.000"
+    ) as error:
+        read_sequence(folder)
+    assert "the clocks differ. If both began at once, --time-offset-s" in str(error.value)
+    offset, found = re.search(r"--time-offset-s (-?[\d.]+), .* pairs (\d+) of 10", str(error.value)).groups()
+    run = read_sequence(folder, time_offset_s=float(offset))
+    assert len(run) == int(found) == 10
+    np.testing.assert_allclose(run.timestamps[0], first, atol=1e-5)
+
+
+@pytest.mark.parametrize("shift", [-100.6, 5000.0])
+def test_truth_of_another_clock_names_what_to_add(folder, shift):
+    rewrite_times(folder / "groundtruth.txt", shift)
+    with pytest.raises(ValueError, match=r"groundtruth\.txt: 0 of 10 .* images are from 100\.000 to") as error:
+        read_sequence(folder)
+    ahead = float(re.search(r"add (-?[\d.]+) s to the times in it, or move the file away", str(error.value)).group(1))
+    rewrite_times(folder / "groundtruth.txt", ahead)
+    assert np.isfinite(read_sequence(folder).world_from_base[:7]).all()
+
+
+def test_depth_of_another_clock_names_both_ranges(folder):
+    rewrite_times(folder / "depth.txt", 50.0)
+    words = r"depth\.txt: 0 of 10 .*150\.003 to 151\.803 s .* 100\.000 to 101\.800 s .*the clocks differ.*--depth none"
+    with pytest.raises(ValueError, match=words):
+        read_sequence(folder)
+    assert not read_sequence(folder, depth=False).has_depth
+
+
 @pytest.mark.parametrize(
     "name, words",
     [("rgb.txt", "rgb.txt: no such file; a sequence needs"), ("camera.json", "there is no camera.json: ")],
@@ -242,7 +311,7 @@ def test_depth_of_another_resolution_is_used_and_of_another_shape_is_not(folder)
 @pytest.mark.parametrize("fault, words", [("swap", "earlier.*sort the file"), ("repeat", "remove one of the two")])
 def test_times_out_of_order_name_file_and_line(folder, name, fault, words):
     lines = [line for line in (folder / name).read_text().splitlines() if not line.startswith("#")]
-    lines[3:5] = [lines[4], lines[3]] if fault == "swap" else [lines[3], lines[3]]
+    lines[3:5] = [lines[4], lines[3]] if fault == "swap" else [lines[3], lines[3].replace(" 0 0 0", " 9 0 0", 1)]
     (folder / name).write_text("\n".join(lines) + "\n")
     with pytest.raises(ValueError, match=rf"{name} line 5: .*{words}"):
         read_sequence(folder)
@@ -257,7 +326,7 @@ def test_times_out_of_order_name_file_and_line(folder, name, fault, words):
         ("rgb.txt", "1.0 rgb/0.jpg\n2.0\n", "line 2: '2.0' is not `timestamp file`"),
         ("rgb.txt", "nan rgb/0.jpg\n2.0 rgb/1.jpg\n", "line 1: nan is not a finite number"),
         ("odometry.txt", "", "no poses"),
-        ("odometry.txt", "1 0 0 nan 0 0 0 1\n", "line 1: nan"),
+        ("odometry.txt", "1 0 0 nan 0 0 0 1\n", "none of its 1 rows holds a pose"),
         ("depth.txt", "", "no depth images"),
     ],
 )

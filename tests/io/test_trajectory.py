@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ebjax.io.poses import poses_from
-from ebjax.io.trajectory import read, read_kitti, read_tum, write_kitti, write_tum
+from ebjax.io.trajectory import read, read_tum, write_kitti, write_tum
 
 
 @pytest.fixture
@@ -50,54 +50,72 @@ def test_a_packed_neighbour_stands_in(tmp_path, poses):
     assert len(read(tmp_path / "a.kitti").poses) == len(poses)
 
 
-def test_planar_rows_and_g2o_vertices_agree(tmp_path):
-    (tmp_path / "a.txt").write_text("1 2 90\n3 4 -180\n")
-    (tmp_path / "a.g2o").write_text(
-        f"VERTEX_SE2 7 1 2 {np.pi / 2}\nVERTEX_SE2 3 3 4 {-np.pi}\nEDGE_SE2 7 3 1 0 0 1 0 0 1 0 1\n"
-    )
-    (tmp_path / "b.g2o").write_text(
-        "EDGE_SE3:QUAT 0 1 1\nVERTEX_SE3:QUAT 0 1 2 0 0 0 0.70710678118 0.70710678118\n"
-        "VERTEX_SE3:QUAT 1 3 4 0 0 0 1 0\nFIX 0\n"
-    )
-    planar = read(tmp_path / "a.txt")
-    np.testing.assert_allclose(planar.poses[0] @ [1, 0, 0, 1], [1, 3, 0, 1], atol=1e-12)
-    for name in ("a.g2o", "b.g2o"):
-        np.testing.assert_allclose(read(tmp_path / name).poses, planar.poses, atol=1e-9)
-
-
 GOOD = "1.0 0 0 0 0 0 0 1\n"
-KITTI = "1 0 0 0 0 1 0 0 0 0 1 0\n"
 
 
 @pytest.mark.parametrize(
     "text, words",
     [
         ("", "no poses"),
-        ("# only a comment\n", "no poses"),
-        (GOOD + "2.0 0 0 0 0 0 0\n", "line 2: 7 columns"),
-        (GOOD + "2.0 0 nan 0 0 0 0 1\n", "line 2: nan is not a finite"),
-        (GOOD + "2.0 0 x 0 0 0 0 1\n", "line 2: 'x' is not a number"),
-        ("# c\n" + GOOD + "0.5 0 0 0 0 0 0 1\n", "line 3: timestamp 0.500000 is earlier.*sort"),
-        (GOOD + "2.0 0 0 0 0 0 0 0\n", "line 2: the quaternion"),
-        (KITTI + "2 0 0 0 0 1 0 0 0 0 1 0\n", "line 2: not a pose"),
-        (KITTI + "-1 0 0 0 0 1 0 0 0 0 1 0\n", "line 2: not a pose.*reflection"),
-        ("1 2\n", "line 1: 2 columns"),
-        ("VERTEX_SE2 0 1 2\n", "line 1: a VERTEX_SE2 line with 2"),
-        ("VERTEX_SE2 0 1 2 0\nVERTEX_SE3:QUAT 1 0 0 0 0 0 0 1\n", "line 2: .*one kind"),
-        ("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n", "no VERTEX"),
+        (GOOD + "2.0 0 0 0 0 0 0\n", "line 2: 7 columns, but line 1 has 8"),
+        (
+            "# c\n" + GOOD + "0.5 0 0 0 0 0 0 1\n",
+            "line 3: timestamp 0.500000 is earlier than 1.* line 2; sort the file",
+        ),
+        (GOOD + "1.0 1 0 0 0 0 0 1\n", r"line 2: another pose at timestamp 1\.000000, which is also line 1's"),
+        (GOOD + "1.0 0 0 0 0 0 1 0\n", "line 2: another pose at timestamp 1.*remove one of the two"),
     ],
 )
 def test_bad_files_name_file_and_line(tmp_path, text, words):
     (tmp_path / "bad.txt").write_text(text)
-    with pytest.raises(ValueError, match=f"bad.txt.*{words}"):
-        read(tmp_path / "bad.txt")
+    for reader in (read, read_tum):
+        with pytest.raises(ValueError, match=f"bad.txt.*{words}"):
+            reader(tmp_path / "bad.txt")
 
 
-def test_duplicate_timestamps_are_refused_only_where_they_matter(tmp_path):
-    (tmp_path / "twice.txt").write_text(GOOD + GOOD)
-    assert len(read(tmp_path / "twice.txt").poses) == 2
-    with pytest.raises(ValueError, match=r"line 2: timestamp 1\.000000 is also line 1's"):
-        read_tum(tmp_path / "twice.txt")
+@pytest.mark.parametrize("text", ["1 0 0 0 0 1 0 0 0 0 1 0\n", "1 2 90\n", "VERTEX_SE2 0 0 0 0\n", "x,y,yaw\n1,2,3\n"])
+def test_a_sequence_needs_times(tmp_path, text):
+    (tmp_path / "odometry.txt").write_text(text)
+    assert not read(tmp_path / "odometry.txt").timed
+    with pytest.raises(ValueError, match=r"odometry\.txt: it has no times; give rows `timestamp tx ty tz qx qy qz qw`"):
+        read_tum(tmp_path / "odometry.txt")
+
+
+def rows(times, x):
+    return "".join(f"{t} {v} 0 0 0 0 0 1\n" for t, v in zip(times, x, strict=True))
+
+
+def test_rows_that_repeat_time_and_pose_are_left_out(tmp_path):
+    (tmp_path / "twice.txt").write_text(rows([1, 2, 2, 2, 3, 3, 4], [0, 1, 1, 1, 2, 2, 2]))
+    for reader in (read, read_tum):
+        found = reader(tmp_path / "twice.txt")
+        np.testing.assert_array_equal(found.timestamps, [1, 2, 3, 4])
+        assert "3 rows repeat the row before, time and pose, and are left out: lines 3-4, 6" in found.notes[0]
+
+
+def test_the_same_pose_at_later_times_stays(tmp_path):
+    (tmp_path / "stands.txt").write_text(rows([1, 2, 3, 4], [0, 0, 0, 0]))
+    found = read(tmp_path / "stands.txt")
+    assert len(found.poses) == 4 and found.notes == ()
+
+
+def test_a_near_pose_at_the_same_time_is_a_rounded_stamp(tmp_path):
+    (tmp_path / "mocap.txt").write_text(rows([0, 1, 2, 2, 3, 4], [0, 0.1, 0.2, 0.25, 0.3, 0.4]))
+    found = read(tmp_path / "mocap.txt")
+    assert len(found.poses) == 6 and "line 4 (kept)" in found.notes[0]
+    found = read_tum(tmp_path / "mocap.txt")
+    np.testing.assert_array_equal(found.poses[:, 0, 3], [0, 0.1, 0.2, 0.3, 0.4])
+    assert "line 4 (left out)" in found.notes[0]
+    (tmp_path / "mocap.txt").write_text(rows([0, 1, 2, 2, 3, 4], [0, 0.1, 0.2, 5, 0.3, 0.4]))
+    with pytest.raises(ValueError, match="line 4: another pose"):
+        read(tmp_path / "mocap.txt")
+
+
+def test_lost_rows_leave_times_that_increase(tmp_path):
+    text = rows([1, 2, 3, 4], [0, 1, 2, 3]).splitlines()
+    text[1:3] = ["2 0 0 0 0 0 0 0", "nan nan nan nan nan nan nan nan"]
+    (tmp_path / "lost.txt").write_text("\n".join(text))
+    np.testing.assert_array_equal(read_tum(tmp_path / "lost.txt").timestamps, [1, 4])
 
 
 def test_unreadable_bytes(tmp_path):
@@ -107,7 +125,7 @@ def test_unreadable_bytes(tmp_path):
         with pytest.raises(ValueError, match=name):
             read(tmp_path / name)
     with pytest.raises(FileNotFoundError):
-        read_kitti(tmp_path / "absent")
+        read(tmp_path / "absent")
 
 
 def test_evo_reads_what_we_write(tmp_path, poses, times, monkeypatch):

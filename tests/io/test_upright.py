@@ -246,3 +246,16 @@ def test_a_long_log_is_judged_by_a_part_of_it():
     long = dataclasses.replace(trajectory(poses @ CAMERA), timestamps=np.arange(len(poses)) * 0.001)
     checked, _ = floor_trajectory(long, CAMERA)
     np.testing.assert_allclose(checked.poses, poses, atol=1e-9)
+
+
+@pytest.mark.parametrize("path", PATHS)
+def test_a_first_line_that_names_the_columns_is_the_remedy_for_w_first(tmp_path, path):
+    poses = PATHS[path]
+    quaternion = quaternion_from_rotation(poses[:, :3, :3])
+    rows = np.concatenate([TIME[:, None], poses[: len(TIME), :3, 3], quaternion[: len(TIME)]], axis=1)
+    np.savetxt(tmp_path / "odometry.txt", rows, header="timestamp tx ty tz qx qy qz qw")
+    with pytest.raises(ValueError, match=r"odometry.txt: .*or make `# timestamp tx ty tz qw qx qy qz` the first line"):
+        floor_trajectory(read_tum(tmp_path / "odometry.txt"), CAMERA)
+    np.savetxt(tmp_path / "odometry.txt", rows, header="timestamp tx ty tz qw qx qy qz")
+    checked, _ = floor_trajectory(read_tum(tmp_path / "odometry.txt"), CAMERA)
+    np.testing.assert_allclose(checked.poses, poses[: len(TIME)], atol=1e-12)

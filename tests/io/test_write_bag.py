@@ -1,5 +1,6 @@
 import builtins
 
+import cv2
 import numpy as np
 import pytest
 
@@ -101,6 +102,7 @@ def test_what_a_bag_cannot_hold_is_refused_and_nothing_is_left(tmp_path):
         write_bag(tmp_path / "a.bag", tmp_path / "run", "bag")
     write_run(tmp_path / "other", camera())
     (tmp_path / "other" / "rgb.txt").write_text("1700000000.25 rgb/a.bmp\n")
+    assert cv2.imwrite(str(tmp_path / "other" / "rgb" / "a.bmp"), np.zeros((24, 32), np.uint8))
     with pytest.raises(ValueError, match=r"a\.bmp: a bag has images as JPEG or PNG"):
         write_bag(tmp_path / "a.mcap", tmp_path / "other", "mcap")
     (tmp_path / "other" / "camera.json").unlink()

@@ -83,7 +83,7 @@ def test_images_that_cannot_be_decoded(capsys, folder):
     assert "6, 32x24" in (out := listed(capsys, folder)) and "broken: rgb/100.000000.jpg: truncated JPEG" in out
     for file in files:
         file.write_bytes(b"no image")
-    assert "images    6, none can be decoded: rgb/" in listed(capsys, folder)
+    assert "rgb.txt: none of 6 images looked at can be read; first " in refused(capsys, folder)[1]
 
 
 def test_a_bag_without_images_lists_its_topics(capsys, bags, tmp_path):

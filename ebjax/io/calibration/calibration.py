@@ -6,6 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+MOST = 1e9
+LENGTHS = 0.05, 1000.0
+"""Least and greatest focal length of a camera, in widths and heights of its image."""
+
 
 @dataclass(frozen=True)
 class Calibration:
@@ -62,3 +66,27 @@ class Calibration:
             floor_from_image=None if self.floor_from_image is None else self.floor_from_image @ np.linalg.inv(scale),
             notes=(*self.notes, note),
         )
+
+
+def implausible(found: Calibration, cut: bool = False) -> str | None:
+    """What no camera has: focal lengths that are not pixels, a principal point outside the image; None if all is well.
+
+    Args:
+      found: a calibration.
+      cut: regions of the image may be cut out, so that the principal point may be anywhere.
+    """
+    k, (width, height) = found.intrinsics, (found.width, found.height)
+    if not (np.abs(k) < MOST).all() or not all(abs(value) < MOST for value in found.distortion):
+        return "numbers that are not finite, or larger than those of any camera; calibrate again"
+    low, high = (np.array([width, height]) * factor for factor in LENGTHS)
+    if (k.diagonal()[:2] < low).any() or (k.diagonal()[:2] > high).any():
+        return (
+            f"focal lengths {k[0, 0]:g} and {k[1, 1]:g} for {width} x {height} px; "
+            "give them in pixels, not in millimetres or parts of the image"
+        )
+    if not cut and not (0 < k[0, 2] < width and 0 < k[1, 2] < height):
+        return (
+            f"the principal point ({k[0, 2]:g}, {k[1, 2]:g}) is outside the image of {width} x {height} px; "
+            "give intrinsics and image size of the same resolution"
+        )
+    return None

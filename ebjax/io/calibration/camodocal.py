@@ -4,7 +4,7 @@ from ebjax.io.calibration.calibration import Calibration
 from ebjax.io.calibration.document import Document
 from ebjax.io.calibration.kind import Kind
 from ebjax.io.calibration.lens import lens
-from ebjax.io.calibration.values import image_size, intrinsics_from, member, number, section
+from ebjax.io.calibration.values import image_size, intrinsics_from, member, number, section, shown
 
 NAME = "VINS or camodocal YAML"
 PROJECTION = {
@@ -19,7 +19,7 @@ PARTS = ("mirror_parameters", "distortion_parameters", "projection_parameters")
 
 def _read(document: Document) -> Calibration:
     path, values = document.path, document.values
-    word = str(member(path, values, "model_type")[1]).upper()
+    word = shown(member(path, values, "model_type")[1]).upper()
     if word not in PROJECTION:
         raise ValueError(f"{path}: model_type {word!r} is not read; {', '.join(PROJECTION)} are")
     model, keys, order = PROJECTION[word]

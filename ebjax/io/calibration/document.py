@@ -3,7 +3,6 @@
 OpenCV's dialect is read too: the header `%YAML:1.0`, the tag `!!opencv-matrix`, `key:value` without a space.
 """
 
-import json
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -14,14 +13,16 @@ from typing import Any
 import yaml
 
 from ebjax.io.calibration.file_storage import file_storage
+from ebjax.io.json_text import NotJson, parse_json
 from ebjax.io.text import read_text
+from ebjax.io.yaml_text import PlainLoader, parse_yaml
 
 LONGEST = 1_000_000
 """Characters of one part; a longer one is some other table, which YAML would take minutes over."""
 
 
-class _Loader(yaml.SafeLoader):
-    """PyYAML's safe loader, which also refuses a key that is there twice with two values."""
+class _Loader(PlainLoader):
+    """A loader that also refuses a key that is there twice with two values."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: dict[str, Any] = {}
@@ -84,11 +85,9 @@ class Document:
         """The file as JSON."""
         if self.text.lstrip()[:1] in ("{", "["):
             try:
-                yield json.loads(self.text, object_pairs_hook=_once)
-            except json.JSONDecodeError as error:
-                self.faults.append(f"line {error.lineno}: not JSON ({error.msg})")
-            except RecursionError:
-                self.faults.append("line 1: not JSON (too many brackets)")
+                yield parse_json(self.text, _once)
+            except NotJson as error:
+                self.faults.append(str(error))
             except ValueError as error:
                 raise ValueError(f"{self.path}: {error}") from None
 
@@ -102,14 +101,14 @@ class Document:
                 self.faults.append(f"line {start + 2}: longer than any calibration")
                 continue
             try:
-                yield yaml.load(part, Loader=_Loader)
+                yield parse_yaml(part, _Loader)
             except yaml.constructor.ConstructorError as error:
                 line = start + 2 + (error.problem_mark.line if error.problem_mark else 0)
                 raise ValueError(f"{self.path} line {line}: {error.problem}") from None
             except yaml.MarkedYAMLError as error:
                 line = start + 2 + (error.problem_mark.line if error.problem_mark else 0)
                 self.faults.append(f"line {line}: not YAML ({error.problem})")
-            except (yaml.YAMLError, RecursionError):
+            except yaml.YAMLError:
                 self.faults.append(f"line {start + 2}: not YAML")
 
 
@@ -126,7 +125,9 @@ def open_document(path: str | Path, *, camera: str | None = None, size: tuple[in
     try:
         text = read_text(path)
     except ValueError:
-        content = path.read_bytes() if path.exists() else b"\0"
+        content = path.read_bytes() if path.exists() else b"\x1f\x8b"
+        if content[:2] == b"\x1f\x8b":
+            raise
         marked = content[:2] in (b"\xff\xfe", b"\xfe\xff")
         if b"\0" in content and not marked:
             raise ValueError(f"{path}: not text; give the calibration as YAML, JSON, XML or another text") from None

@@ -4,14 +4,14 @@ from ebjax.io.calibration.calibration import Calibration
 from ebjax.io.calibration.document import Document
 from ebjax.io.calibration.kind import Kind
 from ebjax.io.calibration.lens import lens
-from ebjax.io.calibration.values import camera_matrix, member, number, numbers, section, whole
+from ebjax.io.calibration.values import camera_matrix, member, number, numbers, section, shown, whole
 
 NAME = "Gyroflow lens profile"
 
 
 def _read(document: Document) -> Calibration:
     path, values = document.path, document.values
-    word = str(values.get("distortion_model") or "opencv_fisheye")
+    word = shown(values.get("distortion_model") or "opencv_fisheye")
     if values.get("use_opencv_standard") is True:
         word = "opencv_standard"
     if values.get("digital_lens"):

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from ebjax.io.calibration.calibration import Calibration
 from ebjax.io.calibration.document import Document
+from ebjax.io.calibration.values import shown
 
 
 @dataclass(frozen=True)
@@ -35,12 +36,14 @@ def choose(
     """
     if asked is None:
         name = default or names[0]
-        others = ", ".join(other for other in names if other != name)
-        return name, (f"{path}: camera {name} is used; the file also has {others}",) if others else ()
+        others = ", ".join(shown(other) for other in names if other != name)
+        return name, (f"{path}: camera {shown(name)} is used; the file also has {others}",) if others else ()
     if not any(names):
         raise ValueError(f"{path}: one camera without a name; do not name a camera ({asked!r})")
     wanted = asked.strip().lower()
     found = [name for name in names if name.lower() == wanted] or [n for n in names if n.lower().endswith(wanted)]
     if len(found) != 1 or not wanted:
-        raise ValueError(f"{path}: {len(found) or 'no'} cameras named {asked!r}; give one of {', '.join(names)}")
+        raise ValueError(
+            f"{path}: {len(found) or 'no'} cameras named {asked!r}; give one of {', '.join(map(shown, names))}"
+        )
     return found[0], ()

@@ -7,7 +7,7 @@ from ebjax.io.calibration.calibration import Calibration
 from ebjax.io.calibration.document import Document
 from ebjax.io.calibration.kind import Kind, choose
 from ebjax.io.calibration.lens import lens, plain_name, unnamed_lens
-from ebjax.io.calibration.values import camera_matrix, image_size, intrinsics_from, member, number, numbers
+from ebjax.io.calibration.values import camera_matrix, image_size, intrinsics_from, member, number, numbers, shown
 
 NAME = "ORB-SLAM settings"
 COEFFICIENTS = {
@@ -39,7 +39,7 @@ def _read(document: Document) -> Calibration:
     else:
         keys = [f"{name}.{key}" for key in ("fx", "fy", "cx", "cy")]
         k = intrinsics_from(path, keys, [member(path, values, key)[1] for key in keys])
-        word = str(values.get("Camera.type", "PinHole"))
+        word = shown(values.get("Camera.type", "PinHole"))
         order = COEFFICIENTS.get(plain_name(word))
         if order is None:
             raise ValueError(f"{path}: 'Camera.type' {word!r} is not read; PinHole, KannalaBrandt8 and Rectified are")

@@ -19,7 +19,7 @@ from ebjax.io.calibration import (
     rtabmap,
     videre,
 )
-from ebjax.io.calibration.calibration import Calibration
+from ebjax.io.calibration.calibration import Calibration, implausible
 from ebjax.io.calibration.document import open_document
 
 KINDS = (
@@ -67,20 +67,6 @@ def read_calibration(
     found = kind.read(document)
     if fault := lens_fault(found.distortion_model, found.distortion):
         raise ValueError(f"{path}: {fault}; correct it")
-    _check_plausible(found, cut=kind is camera_info.KIND)
+    if fault := implausible(found, cut=kind is camera_info.KIND):
+        raise ValueError(f"{found.source}: {fault}")
     return found
-
-
-def _check_plausible(found: Calibration, cut: bool) -> None:
-    """Checks that the focal lengths are pixels and, unless regions may be cut out, where the principal point is."""
-    k = found.intrinsics
-    if k[0, 0] < 0.05 * found.width or k[1, 1] < 0.05 * found.height:
-        raise ValueError(
-            f"{found.source}: focal lengths {k[0, 0]:g} and {k[1, 1]:g} for {found.width} x {found.height} px; "
-            "give them in pixels, not in millimetres or parts of the image"
-        )
-    if not cut and not (0 < k[0, 2] < found.width and 0 < k[1, 2] < found.height):
-        raise ValueError(
-            f"{found.source}: the principal point ({k[0, 2]:g}, {k[1, 2]:g}) is outside the image of {found.width} x "
-            f"{found.height} px; give intrinsics and image size of the same resolution"
-        )

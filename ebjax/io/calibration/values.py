@@ -20,11 +20,17 @@ def member(path: Path, values: Mapping[str, Any], *keys: str, prefix: str = "") 
     raise ValueError(f"{path}: no key {prefix + keys[0]!r}; add it, or give the whole calibration file")
 
 
+def shown(value: Any) -> str:
+    """A value or a name in a message: cut, and in quotes where it is not one line of letters."""
+    words = str(value)[:40]
+    return words if words.isprintable() else repr(words)
+
+
 def section(path: Path, values: Mapping[str, Any], key: str) -> Mapping[str, Any]:
     """The mapping under a key; empty where the key is not there."""
     found = values.get(key)
     if found is not None and not isinstance(found, Mapping):
-        raise ValueError(f"{path}: {key!r} is {str(found)[:40]}, not a section with keys of its own; correct it")
+        raise ValueError(f"{path}: {key!r} is {shown(found)}, not a section with keys of its own; correct it")
     return found or {}
 
 
@@ -36,11 +42,9 @@ def number(path: Path, key: str, value: Any, *, positive: bool = False) -> float
         except ValueError:
             raise ValueError(f"{path}: {key!r} is {value[:40]!r}, not a number; correct it") from None
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ValueError(f"{path}: {key!r} is {str(value)[:40]}, not a number; correct it")
+        raise ValueError(f"{path}: {key!r} is {shown(value)}, not a number; correct it")
     if abs(value) > MOST or math.isnan(value) or (positive and value <= 0):
-        raise ValueError(
-            f"{path}: {key!r} is {str(value)[:40]}, not a finite {'positive ' * positive}number; correct it"
-        )
+        raise ValueError(f"{path}: {key!r} is {shown(value)}, not a finite {'positive ' * positive}number; correct it")
     return float(value)
 
 
@@ -59,7 +63,7 @@ def numbers(path: Path, key: str, value: Any, count: int | None = None) -> list[
             raise ValueError(f"{path}: {key!r} has {len(_flat(data))} numbers, not {shape[0]} x {shape[1]}; correct it")
         value = data
     if not isinstance(value, list | tuple | str):
-        raise ValueError(f"{path}: {key!r} is {str(value)[:40]}, not a list of numbers; correct it")
+        raise ValueError(f"{path}: {key!r} is {shown(value)}, not a list of numbers; correct it")
     found = [number(path, key, leaf) for leaf in _flat(value)]
     if count is not None and len(found) != count:
         raise ValueError(f"{path}: {key!r} has {len(found)} numbers, not {count}; correct it")

@@ -13,7 +13,7 @@ HEADINGS = ("width", "height", "camera matrix", "distortion", "rectification", "
 
 
 def _recognises(document: Document) -> bool:
-    heads = re.findall(r"(?im)^\s*(\[image\]|camera matrix|distortion|projection)\s*$", document.text)
+    heads = re.findall(r"(?im)^[ \t]*(\[image\]|camera matrix|distortion|projection)[ \t\r]*$", document.text)
     return len({head.lower() for head in heads}) >= 2
 
 

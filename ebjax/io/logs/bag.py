@@ -17,6 +17,9 @@ from jaxtyping import Int64
 
 from ebjax.io.logs import bag_mcap, bag_ros1, bag_sqlite
 from ebjax.io.logs.bag_index import EXTRA, ZSTD, BagFile, Channel, Source, decompress, zstd_module
+from ebjax.io.one_line import one_line
+from ebjax.io.text import read_text
+from ebjax.io.yaml_text import parse_yaml
 
 SUFFIXES = (".bag", ".db3", ".mcap", ".zstd", ".active")
 RECORD_FILES = (
@@ -103,9 +106,9 @@ def _split_paths(folder: Path) -> list[Path]:
     described = folder / "metadata.yaml"
     if described.is_file():
         try:
-            names = yaml.safe_load(described.read_text())["rosbag2_bagfile_information"]["relative_file_paths"]
+            names = parse_yaml(read_text(described))["rosbag2_bagfile_information"]["relative_file_paths"]
             paths = [folder / Path(name).name for name in names]
-        except (yaml.YAMLError, KeyError, TypeError, UnicodeDecodeError):
+        except (yaml.YAMLError, KeyError, TypeError, ValueError):
             paths = []
         if paths and all(path.is_file() for path in paths):
             return paths
@@ -126,8 +129,9 @@ def _unpacked(path: Path) -> tuple[Path, tempfile.TemporaryDirectory]:
             shutil.copyfileobj(packed, file, 1 << 20)
     except Exception as error:
         folder.cleanup()
-        what = f"needs {error.name}: {EXTRA}" if isinstance(error, ImportError) else f"damaged zstd file ({error})"
-        raise ValueError(f"{path}: {what}") from None
+        if isinstance(error, ImportError):
+            raise ValueError(f"{path}: needs {error.name}: {EXTRA}") from None
+        raise ValueError(f"{path}: damaged zstd file ({one_line(error)})") from None
     return target, folder
 
 
@@ -135,9 +139,9 @@ def _walked(path: Path, reader: Callable[[Source], BagFile]) -> BagFile:
     source = Source(path)
     try:
         return reader(source)
-    except (KeyError, IndexError, OverflowError, struct.error) as error:
+    except (KeyError, IndexError, OverflowError, UnicodeDecodeError, struct.error) as error:
         source.close()
-        raise ValueError(f"a damaged record ({error}); copy the file again") from None
+        raise ValueError(f"a damaged record ({one_line(error)}); copy the file again") from None
     except BaseException:
         source.close()
         raise

@@ -13,9 +13,13 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Int64
 
+from ebjax.io.one_line import one_line
+
 EXTRA = 'pip install "ebjax[bags]"'
 ZSTD = b"\x28\xb5\x2f\xfd"
 NO_CHUNK = -1
+MOST_BYTES = 1 << 29
+"""Of one chunk or message unpacked; recorders make chunks of a few MB."""
 
 
 @dataclass(frozen=True)
@@ -160,21 +164,29 @@ def decompress(content: bytes, compression: str, limit: int = -1) -> bytes:
     """Decompresses as far as the bytes go, a cut chunk too.
 
     Raises:
-      ValueError: an unknown compression, damaged bytes, or a package is missing.
+      ValueError: an unknown compression, damaged bytes, more than MOST_BYTES of them, or a package is missing.
     """
+    most = MOST_BYTES if limit < 0 else limit
+    unpacked = _decompressed(content, compression, most)
+    if limit < 0 and len(unpacked) >= MOST_BYTES:
+        raise ValueError(f"a damaged {compression} chunk (it unpacks to more than {MOST_BYTES >> 20} MB)")
+    return unpacked
+
+
+def _decompressed(content: bytes, compression: str, most: int) -> bytes:
     try:
         if compression == "bz2":
-            return bz2.BZ2Decompressor().decompress(content, limit)
+            return bz2.BZ2Decompressor().decompress(content, most)
         if compression == "lz4":
             from lz4.frame import LZ4FrameDecompressor
 
-            return LZ4FrameDecompressor().decompress(content, limit)
+            return LZ4FrameDecompressor().decompress(content, most)
         if compression == "zstd":
-            return zstd_module().ZstdDecompressor().decompress(content, limit)
+            return zstd_module().ZstdDecompressor().decompress(content, most)
     except ImportError as error:
         raise ValueError(f"chunks compressed with {compression} need {error.name}: {EXTRA}") from None
     except Exception as error:
-        raise ValueError(f"a damaged {compression} chunk ({error})") from None
+        raise ValueError(f"a damaged {compression} chunk ({one_line(error)})") from None
     raise ValueError(f"chunks compressed with {compression!r} are not known; record without compression, or with lz4")
 
 

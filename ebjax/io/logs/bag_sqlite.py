@@ -5,6 +5,7 @@ from pathlib import Path
 from threading import RLock
 
 from ebjax.io.logs.bag_index import NO_CHUNK, Channel, Index, Rows, channel_from
+from ebjax.io.one_line import one_line
 
 MAGIC = b"SQLite format 3\0"
 
@@ -27,8 +28,13 @@ class SqliteFile:
         try:
             rows = self._base.execute("SELECT id, name, type, serialization_format FROM topics").fetchall()
         except sqlite3.Error as error:
-            raise ValueError(f"an SQLite file without ROS 2 topics ({error}); give a .db3 of rosbag2") from None
-        return {number: channel_from(topic, kind, encoding or "cdr") for number, topic, kind, encoding in rows}
+            said = one_line(error)
+            raise ValueError(f"an SQLite file without ROS 2 topics ({said}); give a .db3 of rosbag2") from None
+        return {
+            number: channel_from(topic, kind, str(encoding or "cdr"))
+            for number, topic, kind, encoding in rows
+            if isinstance(number, int) and isinstance(topic, str) and isinstance(kind, str)
+        }
 
     def _index(self) -> Index:
         channels, rows, notes = self._topics(), Rows(), list[str]()
@@ -36,7 +42,7 @@ class SqliteFile:
             for topic, time, number in self._base.execute("SELECT topic_id, timestamp, id FROM messages"):
                 rows.add(topic, time, NO_CHUNK, number)
         except (sqlite3.Error, TypeError, OverflowError) as error:
-            notes.append(f"the file is damaged ({error}); what is there is read")
+            notes.append(f"the file is damaged ({one_line(error)}); what is there is read")
         return rows.index(channels, {}, notes)
 
     def read(self, row: int, limit: int | None) -> bytes:
@@ -46,7 +52,8 @@ class SqliteFile:
                 with self._base.blobopen("messages", "data", int(self.index.offset[row]), readonly=True) as blob:
                     return blob.read() if limit is None else blob.read(min(limit, len(blob)))
             except sqlite3.Error as error:
-                raise ValueError(f"a message cannot be read ({error}); the file is damaged, copy it again") from None
+                said = one_line(error)
+                raise ValueError(f"a message cannot be read ({said}); the file is damaged, copy it again") from None
 
     def close(self) -> None:
         """Closes the file."""

@@ -1,13 +1,14 @@
 """A robot's log, whatever its kind: images in time order, and what else was recorded beside them."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
 from ebjax.io.calibration.calibration import Calibration
+from ebjax.io.images import same_shape
 from ebjax.io.trajectory import Trajectory
 
 
@@ -23,6 +24,9 @@ class Images:
         along the optical axis, 0 = missing.
       files: of the single images, where each is an image file of its own.
       stored: index -> the JPEG or PNG as it is stored, None where it is not stored so; None where no image is.
+      size: width and height of most of them, px; None where it is not known before one is decoded.
+      turned: these images turned as their EXIF asks, of another size; None where none asks for that.
+      notes: what the user should know of how they are read, a line each.
     """
 
     source: str
@@ -31,6 +35,19 @@ class Images:
     decode: Callable[[int], np.ndarray]
     files: tuple[Path, ...] = ()
     stored: Callable[[int], bytes | None] | None = None
+    size: tuple[int, int] | None = None
+    turned: "Images | None" = None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def sizes(self) -> tuple[tuple[int, int], ...]:
+        """The sizes that they can be read at, the stored one first; none where it is not known."""
+        return tuple(images.size for images in (self, self.turned) if images is not None and images.size is not None)
+
+    def fitting(self, size: tuple[int, int]) -> "Images":
+        """These images; turned as EXIF asks where only so they have the shape of a camera's (width, height)."""
+        fits = [same_shape(own, size) for own in self.sizes]
+        return self.turned if self.turned is not None and fits == [False, True] else self
 
     def __len__(self) -> int:
         """Returns how many there are."""
@@ -39,7 +56,7 @@ class Images:
 
 @dataclass(frozen=True)
 class Log:
-    """What was recorded. Opening one decodes no image, and memory does not grow with the images.
+    """What was recorded. Opening one decodes a few images at most, and memory does not grow with the images.
 
     Attributes:
       path: of the file or folder.
@@ -66,6 +83,10 @@ class Log:
     contents: tuple[str, ...] = ()
     base_from_camera: Float[np.ndarray, "4 4"] | None = None
     missing: Mapping[str, str] = field(default_factory=dict)
+
+    def fitting(self, size: tuple[int, int]) -> "Log":
+        """The log with its images as a camera of (width, height) sees them; see `Images.fitting`."""
+        return replace(self, colour=self.colour.fitting(size))
 
     @property
     def camera_source(self) -> str:

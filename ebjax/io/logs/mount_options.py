@@ -1,6 +1,7 @@
 """Where the camera sits on the robot, as the user says it."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
@@ -17,6 +18,9 @@ MOUNT = (
 class MountOptions:
     """Where the camera sits on the robot, where its calibration or log does not say, or says it wrong."""
 
+    file: Path | None = None
+    """A file that says it: of Duckietown, the homography from the image to the floor (with its intrinsics as --camera),
+    or any calibration that knows its mount. The numbers below come before it."""
     height_m: float | None = None
     """Of the lens above the floor, m."""
     pitch_deg: float | None = None

@@ -1,11 +1,16 @@
 """Opens a robot's log of any known kind, recognised by what is in it."""
 
+import contextlib
 import sqlite3
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Literal
 
+from ebjax.io.image_folder import SUFFIXES
+from ebjax.io.image_kinds import SUFFIXES as UNREAD
+from ebjax.io.logs.image_layouts import layout_reader
 from ebjax.io.logs.log import Log
+from ebjax.io.logs.log_clock import log_in_seconds
 from ebjax.io.logs.photographs import open_images
 from ebjax.io.logs.ros_bag import open_bag
 from ebjax.io.logs.rtabmap import open_rtabmap
@@ -80,6 +85,10 @@ def open_log(
     """
     kind = kind_of(path)
     _check_options(path, kind, options)
+    return log_in_seconds(_opened(path, kind, options, depth, depth_scale))
+
+
+def _opened(path: str | Path, kind: str, options: LogOptions, depth: bool, depth_scale: float | None) -> Log:
     if kind == "bag":
         return open_bag(path, topics={role: topic for role, topic in asdict(options.topics).items() if topic})
     if kind == "rtabmap":
@@ -117,21 +126,20 @@ def kind_of(path: str | Path) -> Literal["tum", "bag", "rtabmap", "video", "imag
 
 def _folder_kind(path: Path) -> Literal["tum", "bag", "images"]:
     names = [child.name for child in path.iterdir()]
-    if any(name in ("rgb.txt", "camera.json", "odometry.txt") for name in names):
+    if layout_reader(path) or any(name in ("camera.json", "odometry.txt") for name in names):
         return "tum"
     if "metadata.yaml" in names or any(name.endswith((".db3", ".mcap", ".db3.zstd", ".mcap.zstd")) for name in names):
         return "bag"
-    pictures = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp")
+    pictures = (*SUFFIXES, *(f".{suffix}" for suffix in UNREAD))
     if not any(name.lower().endswith(pictures) for name in names):
         raise ValueError(f"{path}: nothing in this folder is read; give {READ}")
     return "images"
 
 
 def _is_rosbag(path: Path) -> bool:
-    with sqlite3.connect(f"file:{path}?mode=ro", uri=True) as database:
+    with contextlib.closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as database:
         try:
             rows = database.execute("SELECT name FROM sqlite_master WHERE name IN ('topics', 'messages')").fetchall()
-        except sqlite3.DatabaseError:
+        except (sqlite3.Error, UnicodeDecodeError):  # damaged: its own reader says how
             rows = []
-    database.close()
     return len(rows) == 2

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from ebjax.io.logs.exif import Exif
+from ebjax.io.exif import Exif
 
 SHAPES = (
     (re.compile(r"(\D*?)(\d+)\.(\d+)"), "seconds"),

@@ -4,12 +4,9 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-
-from ebjax.io.image_folder import list_images
-from ebjax.io.images import BrokenFrame, read_image
-from ebjax.io.logs.image_header import Header, read_header
-from ebjax.io.logs.log import Images, Log
+from ebjax.io.image_folder import list_images, unread_images
+from ebjax.io.logs.image_survey import Survey, file_images, survey
+from ebjax.io.logs.log import Log
 from ebjax.io.logs.photograph_times import times_in_names, times_of_photographs
 from ebjax.io.logs.video_times import check_rate, clock, rate_in_words
 
@@ -36,28 +33,22 @@ def open_images(path: str | Path, *, frames_per_s: float | None = None) -> Log:
     paths, notes = _chosen(folder)
     named = times_in_names(folder, paths)
     paths = named[0] if named else paths
-    headers = [read_header(path) or _decoded(path) for path in paths]
-    size = _most_frequent(folder, headers)
+    found = _surveyed(folder, paths)
+    size = found.size
     if named and frames_per_s is None:
         timestamps = named[1]
         notes.append(f"{folder}: the times are the file names, in {named[2]}")
     else:
         timestamps, note = times_of_photographs(
-            folder, [header.exif if header else None for header in headers], frames_per_s
+            folder, [header.exif if header else None for header in found.headers], frames_per_s
         )
         notes.append(note)
     kinds = Counter(path.suffix.lower().lstrip(".") for path in paths)
     return Log(
         path=folder,
         kind="folder of images",
-        colour=Images(
-            source=str(folder),
-            names=tuple(path.name for path in paths),
-            timestamps=timestamps,
-            decode=lambda index: _read(paths[index], size),
-            files=tuple(paths),
-        ),
-        notes=(*notes, *_notes_of(folder, headers, size)),
+        colour=file_images(str(folder), [path.name for path in paths], paths, timestamps, found),
+        notes=(*notes, *_notes_of(folder, found), *found.notes),
         contents=(
             f"{len(paths)} images ({', '.join(kinds)}), {size[0]}x{size[1]}",
             rate_in_words(timestamps, "images/s"),
@@ -68,56 +59,37 @@ def open_images(path: str | Path, *, frames_per_s: float | None = None) -> Log:
 
 
 def _chosen(folder: Path) -> tuple[list[Path], list[str]]:
-    """The colour images of a folder in natural order, and a note of those left out."""
-    shown = [path for path in list_images(folder) if not path.name.startswith(".")]
+    """The colour images of a folder in natural order, and notes of those left out."""
+    shown = list_images(folder)
     colour = [path for path in shown if "depth" not in path.name.lower()]
     if shown and not colour:
         raise ValueError(f"{folder}: all images are named 'depth'; give the folder of colour images, or rename them")
     if len(colour) < 2:
         raise ValueError(f"{folder}: {len(colour) or 'no'} image in it; a run needs two at least")
     left_out = len(shown) - len(colour)
-    return colour, [f"{folder}: {left_out} images named 'depth' are left out"] if left_out else []
+    notes = [f"{folder}: {left_out} images named 'depth' are left out"] if left_out else []
+    return colour, [*notes, *(f"{folder}: {unread}" for unread in (unread_images(folder),) if unread)]
 
 
-def _decoded(path: Path) -> Header | None:
-    """The size of an image whose header does not tell it; None where it cannot be decoded."""
-    try:
-        height, width = read_image(path).shape[:2]
-    except BrokenFrame:
-        return None
-    return Header(width, height)
+def _surveyed(folder: Path, paths: Sequence[Path]) -> Survey:
+    """What the images say; two can be read at least."""
+    found = survey(str(folder), paths)
+    if sum(header is not None for header in found.headers) < 2:
+        raise ValueError(f"{folder}: fewer than two of its {len(paths)} images can be read; first {found.faults[0]}")
+    return found
 
 
-def _most_frequent(folder: Path, headers: Sequence[Header | None]) -> tuple[int, int]:
-    sizes = Counter((header.width, header.height) for header in headers if header is not None)
-    if sizes.total() < 2:
-        raise ValueError(f"{folder}: fewer than two of its {len(headers)} images can be read; copy them again")
-    return sizes.most_common(1)[0][0]
-
-
-def _notes_of(folder: Path, headers: Sequence[Header | None], size: tuple[int, int]) -> list[str]:
-    """Notes of images that are unlike what a user may expect."""
-    read = [header for header in headers if header is not None]
+def _notes_of(folder: Path, found: Survey) -> list[str]:
+    """Notes of images that are left out."""
+    read, count = [header for header in found.headers if header is not None], len(found.headers)
     notes = []
-    if broken := len(headers) - len(read):
-        notes.append(f"{folder}: {broken} of {len(headers)} images cannot be read; they are left out")
-    others = Counter((header.width, header.height) for header in read if (header.width, header.height) != size)
-    if others:
-        found = ", ".join(f"{count} of {width}x{height}" for (width, height), count in others.most_common(3))
-        used = f"{len(read) - others.total()} images of {size[0]}x{size[1]} pixels are used"
-        notes.append(f"{folder}: {used}; {found} are left out")
-    if turned := sum(header.exif.turned for header in read):
-        words = "are turned as their EXIF orientation asks; the calibration must be of images turned so"
-        notes.append(f"{folder}: {turned} of {len(read)} images {words}")
-    if deep := sum(header.bits > 8 for header in read):
-        words = "have more than 8 bits, of which the upper 8 are used; if they are depth, give the colour images"
-        notes.append(f"{folder}: {deep} of {len(read)} images {words}")
+    if found.faults:
+        words = f"{len(found.faults)} of {count} images cannot be read; they are left out, first {found.faults[0]}"
+        notes.append(f"{folder}: {words}")
+    sizes = Counter(header.size for header in read)
+    used = sizes.pop(found.size)
+    if sizes:
+        others = ", ".join(f"{count} of {width}x{height}" for (width, height), count in sizes.most_common(3))
+        width, height = found.size
+        notes.append(f"{folder}: {used} images of {width}x{height} pixels are used; {others} are left out")
     return notes
-
-
-def _read(path: Path, size: tuple[int, int]) -> np.ndarray:
-    image = read_image(path)
-    height, width = image.shape[:2]
-    if (width, height) != size:
-        raise BrokenFrame(f"{path}: {width}x{height} pixels, but most images have {size[0]}x{size[1]}; it is left out")
-    return image

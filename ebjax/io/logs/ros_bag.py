@@ -6,6 +6,7 @@ Opening reads where the messages are, the images' stamps, and all of the small t
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from ebjax.io.logs.mount_options import MOUNT
 from ebjax.io.logs.ros_camera_info import calibration_from
 from ebjax.io.logs.ros_clock import clock
 from ebjax.io.logs.ros_collect import Collected, collect
-from ebjax.io.logs.ros_images import colour_from, images_of
+from ebjax.io.logs.ros_images import bits_in_use, colour_from, images_of
 from ebjax.io.logs.ros_imu import leant_by_imu
 from ebjax.io.logs.ros_mount import mount
 from ebjax.io.logs.ros_odometry import odometry_from_tf, trajectory_of_base
@@ -145,7 +146,10 @@ def open_bag(path: str | Path, *, topics: Mapping[str, str] | None = None) -> Lo
     tree = TfTree(found.static, found.moving, by_receipt=by_receipt, path=str(path))
     notes = (*bag.notes, *chosen.notes, *broken, *notes, *tree.notes)
     opening = _Opening(bag, chosen, found, by_receipt, tree, list(notes), {})
-    colour, about_images = images_of(bag, found, chosen.image, by_receipt, colour_from)
+    bits = bits_in_use(bag, chosen.image)
+    colour, about_images = images_of(bag, found, chosen.image, by_receipt, partial(colour_from, bits=bits))
+    if bits is not None:
+        opening.notes.append(f"{opening.name(chosen.image)}: grey of 16 bits, of which {bits} are in use")
     base_from_camera, base, about_mount = mount(tree, chosen.frames[chosen.image], colour.timestamps)
     opening.notes += (*about_images, *about_mount)
     camera = opening.camera(base_from_camera)

@@ -1,12 +1,13 @@
 """A camera from its CameraInfo messages."""
 
+import dataclasses
 from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
 
 from ebjax.geometry.lens_models import lens_fault
-from ebjax.io.calibration.calibration import Calibration
+from ebjax.io.calibration.calibration import Calibration, implausible
 from ebjax.io.logs.ros_message import CameraInfo
 
 LENSES = {
@@ -67,7 +68,7 @@ def calibration_from(
       image_topic: the images'.
 
     Raises:
-      ValueError: an unknown lens; names the topic.
+      ValueError: an unknown lens, or values that no camera has; names the topic.
     """
     kinds = Counter[tuple]()
     for info, count in infos:
@@ -89,14 +90,19 @@ def calibration_from(
         full = np.array(info.K).reshape(3, 3)
         model, coefficients, said = ("pinhole", (), []) if is_rectified else _lens(info, topic)
         notes += said
-    intrinsics, width, height = _windowed(full, info)
-    return Calibration(
+    whole = Calibration(
         source=source,
         kind="ROS CameraInfo",
-        width=width,
-        height=height,
-        intrinsics=intrinsics,
+        width=info.width,
+        height=info.height,
+        intrinsics=full,
         distortion_model=model,
         distortion=coefficients,
         notes=tuple(notes),
     )
+    if fault := implausible(whole, cut=True):
+        raise ValueError(f"{topic}: {fault}, or give --camera FILE")
+    intrinsics, width, height = _windowed(full, info)
+    if min(width, height) < 1:
+        raise ValueError(f"{topic}: its binning and region leave no pixel of the image; give --camera FILE")
+    return dataclasses.replace(whole, width=width, height=height, intrinsics=intrinsics)

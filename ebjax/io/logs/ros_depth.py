@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Float32
 
-from ebjax.io.images import NO_DEPTH, PNG_SIGNATURE
+from ebjax.io.depth_images import NO_DEPTH
+from ebjax.io.images import PNG_SIGNATURE
 from ebjax.io.logs import rvl
 from ebjax.io.logs.ros_image import decoded, rows_from
 from ebjax.io.logs.ros_message import COMPRESSED, Image

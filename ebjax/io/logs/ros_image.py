@@ -6,15 +6,17 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
+from ebjax.io.grey_levels import bits_for, eight_bits
 from ebjax.io.images import PNG_SIGNATURE, jpeg_is_whole, png_is_whole
 from ebjax.io.logs.bag_index import EXTRA
 from ebjax.io.logs.ros_message import Image
+from ebjax.io.one_line import one_line
 
 # cv_bridge takes images without a named colour as OpenCV has them.
 SAME_AS = {"8UC1": "mono8", "8UC3": "bgr8", "8UC4": "bgra8", "16UC1": "mono16", "16UC3": "bgr16", "y8": "mono8"}
 SAME_AS |= {"yuv422": "uyvy", "yuv422_yuy2": "yuyv", "16uc1": "mono16", "8uc1": "mono8", "8uc3": "bgr8"}
 TALLER = ("nv12", "nv21")
-GREY_BITS = (8, 10, 12, 14, 16)
+JPEG_START = b"\xff\xd8"
 
 
 def rows_from(image: Image, dtype: np.dtype, channels: int, height: int) -> np.ndarray:
@@ -24,7 +26,7 @@ def rows_from(image: Image, dtype: np.dtype, channels: int, height: int) -> np.n
       ValueError: fewer bytes than rows.
     """
     used = image.width * channels * dtype.itemsize
-    step = max(image.step, used)
+    step = max(image.step, used) if height > 1 else used
     if len(image.data) < step * height - (step - used) or not used:
         raise ValueError(f"truncated image: {len(image.data)} bytes for {image.width} x {image.height} px")
     padded = np.zeros(step * height, np.uint8)
@@ -34,15 +36,28 @@ def rows_from(image: Image, dtype: np.dtype, channels: int, height: int) -> np.n
     return rows.view(stored).astype(dtype).reshape((height, image.width) + ((channels,) if channels > 1 else ()))
 
 
-def _eight_bits(grey: np.ndarray) -> np.ndarray:
-    """Scales by the bits that are used: cameras of 10 or 12 bits leave the upper ones 0."""
-    used = int(grey.max(initial=0)).bit_length()
-    bits = next(bits for bits in GREY_BITS if used <= bits)
-    return (grey >> (bits - 8)).astype(np.uint8)
+def brightest(image: Image, is_packed: bool) -> int | None:
+    """The largest value of a grey image of more than 8 bits; None of another.
+
+    Raises:
+      ValueError: it cannot be decoded.
+    """
+    if not is_packed:
+        if SAME_AS.get(image.encoding, image.encoding) != "mono16":
+            return None
+        return int(rows_from(image, np.dtype(np.uint16), 1, image.height).max(initial=0))
+    if bytes(image.data[:2]) == JPEG_START:
+        return None
+    pixels = decoded(image.data, cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION)
+    return int(pixels.max(initial=0)) if pixels.dtype == np.uint16 else None
 
 
-def raw_from(image: Image) -> UInt8[np.ndarray, "H W 3"]:
-    """A raw image as RGB; 16-bit grey is scaled by the bits that it uses.
+def _eight_bits(grey: np.ndarray, bits: int | None) -> np.ndarray:
+    return eight_bits(grey, bits_for(int(grey.max(initial=0))) if bits is None else bits)
+
+
+def raw_from(image: Image, bits: int | None = None) -> UInt8[np.ndarray, "H W 3"]:
+    """A raw image as RGB; 16-bit grey is scaled by the bits in use: `bits`, or those of this image.
 
     Raises:
       ValueError: an unknown encoding, too few bytes, or rosbags-image is missing.
@@ -58,13 +73,13 @@ def raw_from(image: Image) -> UInt8[np.ndarray, "H W 3"]:
         height = image.height * 3 // 2 if encoding in TALLER else image.height
         pixels = rows_from(image, np.dtype(name), channels, height)
         if encoding == "mono16":
-            encoding, pixels = "mono8", _eight_bits(pixels)
+            encoding, pixels = "mono8", _eight_bits(pixels, bits)
         message = SimpleNamespace(
             encoding=encoding, height=height, width=image.width, is_bigendian=0, data=pixels.reshape(-1).view(np.uint8)
         )
         rgb = message_to_cvimage(message, "rgb8")  # type: ignore[arg-type]
     except (ImageError, cv2.error) as error:
-        raise ValueError(f"images of encoding {image.encoding!r} cannot be read ({error})") from None
+        raise ValueError(f"images of encoding {image.encoding[:40]!r} cannot be read ({one_line(error)})") from None
     return np.ascontiguousarray(rgb.astype(np.uint8, copy=False))
 
 
@@ -75,7 +90,7 @@ def decoded(content: memoryview, flags: int) -> np.ndarray:
       ValueError: truncated, or not an image.
     """
     content_bytes = bytes(content)
-    if content_bytes[:2] == b"\xff\xd8" and not jpeg_is_whole(content_bytes):
+    if content_bytes[:2] == JPEG_START and not jpeg_is_whole(content_bytes):
         raise ValueError("truncated JPEG")
     if content_bytes[:8] == PNG_SIGNATURE and not png_is_whole(content_bytes):
         raise ValueError("truncated or damaged PNG")
@@ -88,7 +103,7 @@ def decoded(content: memoryview, flags: int) -> np.ndarray:
     return pixels
 
 
-def compressed_from(image: Image) -> UInt8[np.ndarray, "H W 3"]:
+def compressed_from(image: Image, bits: int | None = None) -> UInt8[np.ndarray, "H W 3"]:
     """A compressed image as RGB, its channels in the order that its format tells.
 
     The format is "encoding; codec compressed encoding". ROS stores BGR where the last says bgr, else RGB; a format
@@ -97,7 +112,7 @@ def compressed_from(image: Image) -> UInt8[np.ndarray, "H W 3"]:
     encoding, separator, stored = image.encoding.partition(";")
     pixels = decoded(image.data, cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION)
     if pixels.dtype == np.uint16:
-        pixels = _eight_bits(pixels)
+        pixels = _eight_bits(pixels, bits)
     if pixels.ndim == 2:
         bayer = encoding.strip() if encoding.startswith("bayer") else "mono8"
         height, width = pixels.shape

@@ -5,17 +5,35 @@ from functools import partial
 
 import numpy as np
 
+from ebjax.io.grey_levels import bits_for
 from ebjax.io.images import BrokenFrame
 from ebjax.io.logs.bag import Bag
 from ebjax.io.logs.log import Images
 from ebjax.io.logs.ros_collect import Collected
-from ebjax.io.logs.ros_image import compressed_from, raw_from
+from ebjax.io.logs.ros_image import brightest, compressed_from, raw_from
 from ebjax.io.logs.ros_message import COMPRESSED, Image, image_from
 
+SAMPLED = 12
 
-def colour_from(message: Image, kind: str) -> np.ndarray:
-    """An Image or CompressedImage as RGB uint8."""
-    return compressed_from(message) if kind == COMPRESSED else raw_from(message)
+
+def colour_from(message: Image, kind: str, bits: int | None = None) -> np.ndarray:
+    """An Image or CompressedImage as RGB uint8; of `bits` where it has more than 8."""
+    return compressed_from(message, bits) if kind == COMPRESSED else raw_from(message, bits)
+
+
+def bits_in_use(bag: Bag, channel: int) -> int | None:
+    """How many bits the grey images of a topic use in common, by a dozen of them; None where they have 8."""
+    rows, described = bag.rows(channel), bag.channels[channel]
+    found = []
+    for row in rows[np.unique(np.linspace(0, len(rows) - 1, min(SAMPLED, len(rows))).round().astype(int))].tolist():
+        try:
+            message = image_from(bag.read(row), described.encoding, described.type)
+            found.append(brightest(message, described.type == COMPRESSED))
+        except ValueError:
+            continue
+        if found[0] is None:
+            return None
+    return bits_for(max(value for value in found if value is not None)) if found else None
 
 
 def _decode(

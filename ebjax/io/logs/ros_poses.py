@@ -9,6 +9,9 @@ from jaxtyping import Float, Int64
 from ebjax.io.poses import poses_from, rotation_from_quaternion
 from ebjax.io.trajectory import Trajectory
 
+MOST_M = 1e9
+"""No robot is farther from an origin on the earth; such a number is damaged, and its square may be infinite."""
+
 
 class PoseSamples:
     """Poses with the times that they are stamped with and were received at, ns."""
@@ -34,13 +37,13 @@ class PoseSamples:
         return np.array(self._times, np.int64).reshape(-1, 2)
 
     def matrices(self) -> Float[np.ndarray, "N 4 4"]:
-        """The poses; NaN where a quaternion is no rotation or a number is not finite."""
+        """The poses; NaN where a quaternion is no rotation, or a number is not finite or farther than MOST_M."""
         values = np.array(self._values, np.float64).reshape(-1, 7)
-        with np.errstate(over="ignore", invalid="ignore"):
-            valid = np.abs(np.linalg.norm(values[:, 3:], axis=1) - 1) < 0.05
-        valid &= np.isfinite(values).all(axis=1)
+        valid = np.all(np.abs(values) < MOST_M, axis=1)
         values = np.where(valid[:, None], values, [[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]])
-        poses = poses_from(rotation_from_quaternion(values[:, 3:]), values[:, :3])
+        valid &= np.abs(np.linalg.norm(values[:, 3:], axis=1) - 1) < 0.05
+        quaternions = np.where(valid[:, None], values[:, 3:], [[1.0, 0.0, 0.0, 0.0]])
+        poses = poses_from(rotation_from_quaternion(quaternions), values[:, :3])
         return np.where(valid[:, None, None], poses, np.nan)
 
     def trajectory(self, name: str, by_receipt: bool) -> tuple[Trajectory, tuple[str, ...]]:

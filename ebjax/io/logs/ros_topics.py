@@ -1,7 +1,8 @@
 """Chooses among a bag's topics: the images, their CameraInfo, depth, odometry, ground truth, IMU, and tf."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from typing import TypeVar
 
 from ebjax.io.logs.bag import Bag
 from ebjax.io.logs.bag_index import Channel, topic_name
@@ -21,6 +22,7 @@ from ebjax.io.logs.ros_message import (
     orientation_from,
 )
 
+Message = TypeVar("Message")
 ROLES = {
     "image": (IMAGE, COMPRESSED),
     "depth": (IMAGE, COMPRESSED),
@@ -79,11 +81,16 @@ class _Chooser:
                 self.frames[k], self.encodings[k] = head.header.frame_id, head.encoding
 
     def head(self, channel: int) -> Image | None:
-        """The head of an image topic's first message, or of another where that is damaged."""
-        rows, described = self.bag.rows(channel), self.bag.channels[channel]
+        """The head of an image topic."""
+        described = self.bag.channels[channel]
+        return self.first(channel, HEAD, lambda content: image_from(content, described.encoding, described.type))
+
+    def first(self, channel: int, limit: int | None, read: Callable[[bytes], Message]) -> Message | None:
+        """A topic's first message, or another where that is damaged; None where these are too."""
+        rows = self.bag.rows(channel)
         for row in rows[[0, len(rows) // 2, -1]].tolist():
             try:
-                return image_from(self.bag.read(row, HEAD), described.encoding, described.type)
+                return read(self.bag.read(row, limit))
             except ValueError:
                 continue
         return None
@@ -124,9 +131,9 @@ class _Chooser:
         beside, infos = self.info_beside(image), self.of(CAMERA_INFO)
         if beside is not None or len(infos) != 1:
             return beside
-        channel, row = self.bag.channels[infos[0]], int(self.bag.rows(infos[0])[0])
-        frame = camera_info_from(self.bag.read(row), channel.encoding).header.frame_id
-        return infos[0] if frame == self.frames[image] != "" else None
+        encoding = self.bag.channels[infos[0]].encoding
+        info = self.first(infos[0], None, lambda content: camera_info_from(content, encoding))
+        return infos[0] if info is not None and info.header.frame_id == self.frames[image] != "" else None
 
     def one_each(self, channels: Iterable[int]) -> list[int]:
         """One channel of each image: the raw one, unless the compressed one has more messages."""

@@ -9,6 +9,7 @@ from jaxtyping import Float
 SERIALISED_SINCE = (0, 18, 0)
 MONO, STEREO = 0, 1
 OLD_MONO_BYTES, OLD_STEREO_BYTES = 72, 76
+MOST_PX = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -94,6 +95,7 @@ class _Reader:
         if kind != MONO:
             raise ValueError(f"a calibration of kind {kind}, which is not known")
         width, height, *counts_of = self.take("<i4", 7).tolist()
+        _check_size(width, height)
         k, d, r, p = (self.take("<f8", count) for count in counts_of[:4])
         mount = self.take("<f4", counts_of[4])
         if {len(k), len(r)} - {0, 9} or len(p) not in (0, 12) or len(mount) not in (0, 12):
@@ -112,9 +114,15 @@ class _Reader:
         )
 
 
+def _check_size(width: float | int, height: float | int) -> None:
+    if not (0 <= width <= MOST_PX and 0 <= height <= MOST_PX):
+        raise ValueError(f"a calibration of images of {width:g} x {height:g} px")
+
+
 def _camera_from_row(row: Float[np.ndarray, " n"], stereo: bool) -> DatabaseCamera:
     fx, fy, cx, cy = row[:4]
     width, height = row[-14:-12]
+    _check_size(width, height)
     k = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
     return DatabaseCamera(int(width), int(height), k, (), None, None, transform_from_floats(row[-12:]), stereo)
 

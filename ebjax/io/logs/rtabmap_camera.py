@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from ebjax.io.calibration.calibration import Calibration
+from ebjax.io.calibration.calibration import Calibration, implausible
 from ebjax.io.logs.rtabmap_calibration import DatabaseCamera
 
 FISHEYE_NUMBERS = 6
@@ -87,7 +87,7 @@ def calibration_from_camera(
     if camera.base_from_camera is not None and camera.base_from_camera[2, 3] <= LEAST_HEIGHT_M:
         height = f"{camera.base_from_camera[2, 3]:.2f} m over base_link"
         notes.append(f"{path}: the camera sits {height}: base_link is not on the floor; give the mount over the floor")
-    return Calibration(
+    found = Calibration(
         source=str(path),
         kind="RTAB-Map database",
         width=camera.width,
@@ -96,7 +96,10 @@ def calibration_from_camera(
         distortion_model=model,
         distortion=distortion,
         base_from_camera=camera.base_from_camera,
-    ), notes
+    )
+    if camera.width and (fault := implausible(found)):
+        return None, [f"{path}: its camera has no valid intrinsics: {fault}"]
+    return found, notes
 
 
 def lens_from_coefficients(d: tuple[float, ...]) -> tuple[str, tuple[float, ...]]:

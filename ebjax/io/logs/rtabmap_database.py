@@ -6,6 +6,8 @@ import sqlite3
 from collections.abc import Iterator
 from pathlib import Path
 
+from ebjax.io.one_line import one_line
+
 OLDEST = (0, 11, 10)
 NEWEST = (0, 23)
 SQLITE_SIGNATURE = b"SQLite format 3\x00"
@@ -55,15 +57,16 @@ def reading(path: Path) -> Iterator[sqlite3.Connection]:
         with contextlib.closing(sqlite3.connect(address, uri=True)) as connection:
             yield connection
     except (sqlite3.Error, UnicodeDecodeError) as error:
-        if "locked" in str(error):
+        said = one_line(error)
+        if "locked" in said:
             raise ValueError(f"{path}: another program writes to it; close RTAB-Map and try again") from None
-        if "readonly" in str(error) or "unable to open" in str(error):
+        if "readonly" in said or "unable to open" in said:
             raise ValueError(
-                f"{path}: was not closed ({error}); copy it with its -journal and -wal files into a folder of yours, "
+                f"{path}: was not closed ({said}); copy it with its -journal and -wal files into a folder of yours, "
                 "and open it there once with RTAB-Map or sqlite3"
             ) from None
         raise ValueError(
-            f"{path}: a damaged database ({error}); copy it again, or mend it with rtabmap-recovery"
+            f"{path}: a damaged database ({said}); copy it again, or mend it with rtabmap-recovery"
         ) from None
 
 

@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from ebjax.io.images import NO_DEPTH, PNG_SIGNATURE, BrokenFrame, png_is_whole
+from ebjax.io.depth_images import NO_DEPTH
+from ebjax.io.images import PNG_SIGNATURE, BrokenFrame, png_is_whole
 from ebjax.io.logs import rvl
 
 HEAD_BYTES = 33

@@ -86,7 +86,7 @@ def read_colour(path: Path, node: int, strip: Strip) -> UInt8[np.ndarray, "H W 3
         raise BrokenFrame(f"{name}: truncated JPEG; copy the database again")
     if content[:8] == PNG_SIGNATURE and not png_is_whole(content):
         raise BrokenFrame(f"{name}: truncated or damaged PNG; copy the database again")
-    image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
+    image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     if image is None:
         raise BrokenFrame(f"{name}: not an image that OpenCV can decode; leave it out")
     return cv2.cvtColor(strip.cut(name, image), cv2.COLOR_BGR2RGB)  # type: ignore[return-value]

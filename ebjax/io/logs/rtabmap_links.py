@@ -18,6 +18,7 @@ from jaxtyping import Float
 from ebjax.io.logs.rtabmap_closure import Closure, information_from_closure, transforms_from_closure
 from ebjax.io.logs.rtabmap_database import check_version, columns, is_open_elsewhere, reading
 from ebjax.io.logs.rtabmap_nodes import INVALID
+from ebjax.io.one_line import one_line
 
 __all__ = ["Closure", "Written", "write_closures"]
 
@@ -137,6 +138,6 @@ def write_closures(source: str | Path, out: str | Path, closures: Sequence[Closu
         except sqlite3.OperationalError as error:
             if "full" not in str(error) and "I/O" not in str(error):
                 raise
-            raise OSError(errno.EIO, f"the copy cannot be written ({error}); make room", str(out)) from None
+            raise OSError(errno.EIO, f"the copy cannot be written ({one_line(error)}); make room", str(out)) from None
         os.replace(copy, out)
     return written

@@ -51,7 +51,7 @@ def shift_and_turn(a: Float[np.ndarray, "4 4"], b: Float[np.ndarray, "4 4"]) -> 
 def _same_intrinsics(a: DatabaseCamera, b: DatabaseCamera) -> bool:
     if a.rectified is None or b.rectified is None:
         return a.rectified is b.rectified
-    near = bool(np.abs(a.rectified - b.rectified).max() <= SAME_PX)
+    near = np.allclose(a.rectified, b.rectified, rtol=0, atol=SAME_PX, equal_nan=True)
     return near and (a.width, a.height) == (b.width, b.height)
 
 

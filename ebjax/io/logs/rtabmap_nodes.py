@@ -14,6 +14,8 @@ from ebjax.io.logs.rtabmap_database import columns
 from ebjax.io.trajectory import Trajectory
 
 INTERMEDIATE, INVALID = -1, -9
+MOST_S = 1e12
+"""A stamp beyond it is no time."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,7 @@ def read_nodes(database: sqlite3.Connection) -> list[Node]:
         numbers = isinstance(stamp, int | float | None) and all(isinstance(n, int) for n in (i, session, weight))
         if not numbers:
             raise sqlite3.DatabaseError(f"node {i} has values that are no numbers")
-        seconds = float("nan") if stamp is None else float(stamp)
+        seconds = float("nan") if stamp is None or abs(stamp) > MOST_S else float(stamp)
         nodes.append(Node(i, session, weight, seconds, pose, true, bool(image), bool(depth)))
     return nodes
 

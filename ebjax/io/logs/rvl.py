@@ -8,6 +8,9 @@ to the nonzero pixel before it; again until the image is full.
 import numpy as np
 from jaxtyping import Int64, UInt16
 
+MOST_PIXELS = 1 << 26
+"""A few bytes can stand for any number of missing pixels."""
+
 
 def _numbers_from_nibbles(payload: bytes) -> Int64[np.ndarray, " N"]:
     whole = len(payload) // 4 * 4
@@ -33,8 +36,10 @@ def decode(payload: bytes, width: int, height: int) -> UInt16[np.ndarray, "{heig
       height: px.
 
     Raises:
-      ValueError: the stream ends too early, or holds more pixels than the image.
+      ValueError: the stream ends too early, or holds more pixels than the image; more pixels than a camera has.
     """
+    if width * height > MOST_PIXELS:
+        raise ValueError(f"damaged RVL depth of {width} x {height} px")
     numbers, pixels = _numbers_from_nibbles(payload), width * height
     view, position, done, runs = numbers.data, 0, 0, []
     while done < pixels:

@@ -1,19 +1,28 @@
-"""A folder in TUM layout as a log: rgb.txt; camera.json, depth.txt, odometry.txt, groundtruth.txt if there are any."""
+"""A folder with a list of images as a log: rgb.txt of TUM, or another layout that `image_layouts` knows.
 
+camera.json, depth.txt, odometry.txt and groundtruth.txt are read if there are any.
+"""
+
+from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-from jaxtyping import Float
-
+from ebjax.io.calibration.calibration import Calibration
 from ebjax.io.calibration.camera_json import calibration_from_camera
+from ebjax.io.calibration.read import read_calibration
 from ebjax.io.camera_file import read_camera
-from ebjax.io.images import read_depth, read_image
+from ebjax.io.images import read_image
+from ebjax.io.logs.depth_survey import depth_images
+from ebjax.io.logs.image_layouts import Layout, layout_reader, located, there
+from ebjax.io.logs.image_list import read_image_list
+from ebjax.io.logs.image_survey import LOOKED_AT, file_images, spread, survey
+from ebjax.io.logs.kitti_calibration import read_kitti_calibration
 from ebjax.io.logs.log import Images, Log
-from ebjax.io.text import check_increasing, data_lines, floats
+from ebjax.io.logs.mount_options import MOUNT
 from ebjax.io.trajectory import Trajectory, read_tum
 
 MISSING = {
     "camera": "there is no camera.json: write one, or give --camera FILE, any calibration of this camera",
+    "mount": MOUNT,
     "odometry": "there is no odometry.txt: the run is measured by the floor alone, or give rows `timestamp tx ty tz qx "
     "qy qz qw`, the pose of base_link in the odometry's frame",
     "depth": "there is no depth.txt: the floor is metric without depth",
@@ -21,7 +30,7 @@ MISSING = {
 
 
 def open_tum_folder(path: str | Path, *, depth: bool = True, depth_scale: float | None = None) -> Log:
-    """Opens a folder in TUM layout; files that are gzipped (.gz) are read too.
+    """Opens a folder with a list of images; text files that are gzipped (.gz) are read too.
 
     Args:
       path: the folder.
@@ -29,77 +38,92 @@ def open_tum_folder(path: str | Path, *, depth: bool = True, depth_scale: float 
       depth_scale: depth file units per metre; None: as camera.json says.
 
     Raises:
-      ValueError: no such folder, no rgb.txt, or a malformed file; names the file, the line or key, and the remedy.
+      ValueError: no such folder, no list of images, none of them there, or a malformed file; names the file, the line
+        or key, and the remedy.
     """
     folder = Path(path)
     if not folder.is_dir():
         raise ValueError(f"{folder}: no such folder; a sequence is a folder with rgb.txt and camera.json")
-    if not (folder / "rgb.txt").is_file():
+    if (read_layout := layout_reader(folder)) is None:
         raise ValueError(f"{folder / 'rgb.txt'}: no such file; a sequence needs rgb.txt and camera.json")
-    notes, deep = [], depth and _there(folder / "depth.txt")
+    layout = read_layout()
+    notes = list(layout.notes)
+    colour = _colour(layout)
+    deep = depth and (layout.depth is not None or there(folder / "depth.txt"))
     camera = None
-    if _there(folder / "camera.json"):
-        camera = read_camera(folder / "camera.json", depth=deep and depth_scale is None)
-        depth_scale = depth_scale or camera.depth_scale
+    if there(folder / "camera.json"):
+        own = read_camera(folder / "camera.json", depth=deep and depth_scale is None)
+        depth_scale = depth_scale or own.depth_scale
+        camera = calibration_from_camera(folder / "camera.json", own, own.depth_scale)
+    elif layout.calibration is not None and colour.size is not None:
+        camera = _calibration(layout.calibration, colour.size)
     if deep and depth_scale is None:
         deep = False
         notes.append(f"{folder / 'depth.txt'}: left out, as no camera.json says how many units a metre has")
-    names, stamps = _read_list(folder / "rgb.txt")
-    colour = Images(
-        source=str(folder / "rgb.txt"),
-        names=names,
-        timestamps=stamps,
-        decode=lambda k: read_image(folder / names[k]),
-        files=tuple(folder / name for name in names),
-    )
-    depths = _depth(folder, depth_scale) if deep and depth_scale is not None else None
+    depths = None
+    if deep and depth_scale is not None:
+        depths = _depth(folder, layout, depth_scale, colour)
+        notes += depths.notes
     odometry, truth = (_poses(folder / f"{name}.txt") for name in ("odometry", "groundtruth"))
-    lacks = {"camera": camera is None, "odometry": odometry is None, "depth": depths is None}
+    notes += [note for poses in (odometry, truth) if poses is not None for note in poses.notes]
+    lacks = {
+        "camera": camera is None,
+        "mount": camera is not None and camera.base_from_camera is None,
+        "odometry": odometry is None,
+        "depth": depths is None,
+    }
     return Log(
         path=folder,
-        kind="folder in TUM layout",
+        kind=layout.kind,
         colour=colour,
         depth=depths,
-        camera=None if camera is None else calibration_from_camera(folder / "camera.json", camera, camera.depth_scale),
+        camera=camera,
         odometry=odometry,
         truth=truth,
         notes=tuple(notes),
-        contents=_contents(colour, depths, odometry, truth),
+        contents=_contents(layout, colour, depths, odometry, truth),
         missing={what: sentence for what, sentence in MISSING.items() if lacks[what]},
     )
 
 
-def _depth(folder: Path, depth_scale: float) -> Images:
-    names, stamps = _read_list(folder / "depth.txt")
-    return Images(str(folder / "depth.txt"), names, stamps, lambda k: read_depth(folder / names[k], depth_scale))
+def _colour(layout: Layout) -> Images:
+    listed = layout.colour
+    if not listed.names:
+        return Images(str(listed.path), (), listed.timestamps, lambda k: read_image(layout.files[k]))
+    found = survey(str(listed.path), [layout.files[row] for row in spread(len(layout.files), LOOKED_AT)])
+    images = file_images(str(listed.path), listed.names, layout.files, listed.timestamps, found)
+    return replace(images, notes=(*found.notes, *images.notes))
+
+
+def _depth(folder: Path, layout: Layout, depth_scale: float, colour: Images) -> Images:
+    """Those of depth.txt, or of the association."""
+    if there(folder / "depth.txt"):
+        listed = read_image_list(folder / "depth.txt")
+        files, moved = located(folder, listed)
+        notes = (*listed.notes, *moved)
+    else:
+        assert layout.depth is not None
+        listed, files, notes = layout.depth, layout.depth_files, layout.depth.notes
+    return depth_images(listed, files, notes, depth_scale, colour.sizes)
+
+
+def _calibration(path: Path, size: tuple[int, int]) -> Calibration:
+    """The calibration that a layout keeps beside its images, of their (width, height) where it says none."""
+    if path.name == "calib.txt":
+        return read_kitti_calibration(path, size)
+    return read_calibration(path, size=size)
 
 
 def _poses(path: Path) -> Trajectory | None:
-    return read_tum(path) if _there(path) else None
+    return read_tum(path) if there(path) else None
 
 
 def _contents(
-    colour: Images, depth: Images | None, odometry: Trajectory | None, truth: Trajectory | None
+    layout: Layout, colour: Images, depth: Images | None, odometry: Trajectory | None, truth: Trajectory | None
 ) -> tuple[str, ...]:
-    lines = [f"rgb.txt: {len(colour)} images"]
-    lines += [f"depth.txt: {len(depth)} depth images"] if depth is not None else []
+    lines = [f"{layout.colour.path.name}: {len(colour)} images"]
+    lines += [f"{Path(depth.source).name}: {len(depth)} depth images"] if depth is not None else []
     for trajectory in (odometry, truth):
         if trajectory is not None:
             lines.append(f"{Path(trajectory.path).name}: {len(trajectory.poses)} poses")
     return tuple(lines)
-
-
-def _there(path: Path) -> bool:
-    return path.is_file() or Path(f"{path}.gz").is_file()
-
-
-def _read_list(path: Path) -> tuple[tuple[str, ...], Float[np.ndarray, " N"]]:
-    names, stamps = [], []
-    for number, line in data_lines(path):
-        fields = line.split(maxsplit=1)
-        if len(fields) != 2:
-            raise ValueError(f"{path} line {number}: {line!r} is not `timestamp file`; correct or remove the line")
-        names.append(fields[1])
-        stamps.append((number, floats(path, number, fields[:1])[0]))
-    check_increasing(path, stamps)
-    return tuple(names), np.array([stamp for _, stamp in stamps], dtype=np.float64)

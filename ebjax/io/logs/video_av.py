@@ -25,7 +25,7 @@ class PyAvVideo:
         import av
 
         try:
-            self._container = av.open(str(path))
+            self._container = av.open(str(path), metadata_errors="replace")
         except (av.FFmpegError, OSError) as error:
             raise ValueError(f"{path}: not a video: {error.strerror or error}; give MP4, MOV, MKV or AVI") from None
         if not self._container.streams.video:

@@ -5,6 +5,7 @@ import struct
 import sys
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -268,3 +269,24 @@ def test_counts_agree_with_rosbags(data):
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
             assert len(bag_contents(path)) == len({(c.topic, c.msgtype) for c in reader.connections})
             assert sum(int(line.split()[-2]) for line in bag_contents(path)) == reader.message_count
+
+
+@pytest.mark.parametrize("packed", [False, True])
+@pytest.mark.parametrize("bits", [10, 12])
+def test_grey_of_more_than_eight_bits_is_scaled_alike_in_all_images(tmp_path, packed, bits):
+    def grey(k):
+        ramp = np.linspace(0, (2**bits - 1) * (0.2 if k % 2 else 1.0), 24 * 32).astype(np.uint16)
+        return ramp.reshape(24, 32)
+
+    def fill(bag):
+        for k in range(6):
+            if packed:
+                data = cv2.imencode(".png", grey(k))[1].tobytes()
+                bag.compressed("/grey/compressed", 1000 + k, data, "mono16; png compressed ")
+            else:
+                bag.raw("/grey", 1000 + k, grey(k), "mono16")
+
+    log = open_bag(written(tmp_path, "mcap", fill))
+    assert said(log, f"of which {bits} are in use")
+    for k in range(6):
+        np.testing.assert_array_equal(log.colour.decode(k)[..., 0], grey(k) >> (bits - 8))

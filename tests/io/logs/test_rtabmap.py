@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ebjax.io.images import BrokenFrame, read_depth
+from ebjax.io.depth_images import read_depth
+from ebjax.io.images import BrokenFrame
 from ebjax.io.logs.rtabmap import node_of, open_rtabmap
 from ebjax.io.trajectory import read_tum
 

@@ -61,6 +61,14 @@ def test_a_cut_or_wrong_stream_is_refused():
         decode(bytes(64), 40, 30)
 
 
+@pytest.mark.parametrize("width, height", [(2**14, 2**13), (2**32 - 1, 1), (2**32 - 1, 2**32 - 1)])
+def test_a_few_bytes_for_more_pixels_than_a_camera_has_are_refused(width, height):
+    missing = encode(np.zeros((8, 8), np.uint16))
+    with pytest.raises(ValueError, match=f"damaged RVL depth of {width} x {height} px"):
+        decode(missing, width, height)
+    assert decode(encode(np.zeros((2**10, 2**12), np.uint16)), 2**12, 2**10).size == 2**22
+
+
 def test_a_real_image_of_rtabmap(data):
     sqlite3 = pytest.importorskip("sqlite3")
     path = data("logs/rtabmap/corridor_v0.23.8_86_nodes.db")

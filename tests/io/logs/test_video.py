@@ -11,9 +11,9 @@ import pytest
 from ebjax.io.images import BrokenFrame
 from ebjax.io.logs.video import open_video
 from ebjax.io.logs.video_frames import VideoFrames
-from ebjax.io.logs.video_opencv import set_log_level
 from ebjax.io.logs.video_source import VideoFacts
 from ebjax.io.logs.video_times import clock, times_of_frames
+from ebjax.io.opencv_log import set_log_level
 
 BITS, WIDTH, HEIGHT = 10, 160, 64
 GAPS_MS = [33, 20, 50, 400]
