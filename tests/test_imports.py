@@ -19,7 +19,7 @@ MAY_IMPORT = {
     "odometry": {"geometry", "views", "features", "posegraph"},
     "floors": {"geometry"},
     "slam": {"geometry", "models", "views", "places", "features", "posegraph", "odometry", "floors"},
-    "evaluation": set(),
+    "evaluation": {"io"},
     # Only what loads no JAX: the names of lenses.
     "io": {"geometry"},
     "viz": {"geometry", "io", "evaluation", "features", "views", "places", "odometry", "posegraph", "slam"},

@@ -1,7 +1,8 @@
 """Measures a trajectory against a reference: ATE and RPE, by time, by row or along the path; repeats the paper.
 
-Files with times are associated by time. Files without (KITTI) are associated by row, if they have as many rows, and
-by arc length beside it. Every alignment is printed: none, SE(2), SE(3), Sim(3).
+Files with times are associated by time, one to one; times in other units than seconds are converted, an offset of the
+clocks is named. Files without (KITTI) are associated by row, if they have as many rows, and by arc length beside it.
+Every alignment is printed: none, SE(2), SE(3), Sim(3); one that the positions do not determine is named undefined.
 
     python -m ebjax.evaluation TRAJECTORY REFERENCE         ATE and RPE
     python -m ebjax.evaluation nees RUN --reference FILE    whether a run's errors are as large as its covariances say
@@ -16,137 +17,16 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import tyro
 
 from ebjax.command import run
+from ebjax.evaluation.compare import EvaluationConfig, evaluate, report
 from ebjax.evaluation.nees import between, summaries, table, tangent_errors
 from ebjax.evaluation.nees_tables import read_measurements
-from ebjax.evaluation.trajectory import ALIGNMENTS, arc_length, arc_length_association, associate, ate, rpe
 from ebjax.io.atomic import whole_file
-from ebjax.io.trajectory import Trajectory, read
-
-COLUMNS = ("rmse", "mean", "median", "max", "min", "std")
-
-
-@dataclass(frozen=True)
-class EvaluationConfig:
-    """Measures a trajectory against a reference: ATE and RPE, by time, by row or along the path."""
-
-    trajectory: tyro.conf.Positional[str]
-    """The estimate: TUM, KITTI, `x y theta_deg` or g2o, plain or .gz."""
-    reference: tyro.conf.Positional[str]
-    """What it should have been, in any of the same layouts."""
-    match: Literal["auto", "time", "row", "arc"] = "auto"
-    """How poses are paired. auto: by time if both files have times, else by row and by arc length."""
-    max_time_difference_s: float = 0.01
-    """How far apart the times of a pair may be, s."""
-    samples: int = 1500
-    """Points at which arc-length association compares the paths."""
-    align_first: int = 0
-    """Fit the alignment to that many first pairs only; 0 is all."""
-    delta: int = 1
-    """Frames between the two poses of an RPE pair."""
-    out: str | None = None
-    """Folder for metrics.json; none is written without it."""
-
-
-def _positions(trajectory: Trajectory) -> np.ndarray:
-    return trajectory.poses[:, :3, 3]
-
-
-def _ways(config: EvaluationConfig, estimate: Trajectory, reference: Trajectory) -> list[str]:
-    timed, rows = estimate.timed and reference.timed, (len(estimate.poses), len(reference.poses))
-    if config.match == "time" and not timed:
-        without = config.reference if estimate.timed else config.trajectory
-        raise ValueError(f"{without}: it has no times; use --match row or --match arc")
-    if config.match == "row" and rows[0] != rows[1]:
-        raise ValueError(f"{config.trajectory}: {rows[0]} rows, but {config.reference} has {rows[1]}; use --match arc")
-    if config.match != "auto":
-        return [config.match]
-    return ["time"] if timed else ["row", "arc"] if rows[0] == rows[1] else ["arc"]
-
-
-def _pairs(
-    config: EvaluationConfig, way: str, estimate: Trajectory, reference: Trajectory
-) -> tuple[np.ndarray, np.ndarray]:
-    rows = np.arange(len(estimate.poses))
-    if way == "row":
-        return rows, rows
-    i, j = associate(reference.timestamps, estimate.timestamps, config.max_time_difference_s)
-    if len(i) < 2:
-        raise ValueError(
-            f"{config.trajectory}: {len(i)} of {len(rows)} poses match a time of {config.reference} within "
-            f"{config.max_time_difference_s:g} s; raise --max-time-difference-s, or use --match arc"
-        )
-    return i, j
-
-
-def evaluate(config: EvaluationConfig) -> dict[str, Any]:
-    """Reads both files and measures.
-
-    Returns:
-      `poses` and `path_m` of the two files; per association `matched` pairs, `ate_m` per alignment and, not by arc
-      length, `rpe`; where rows and arc length were both used, `row_lag_m` along the path.
-
-    Raises:
-      ValueError: an unreadable file, or files that cannot be associated; names file and remedy.
-      OSError: a missing file.
-    """
-    if config.align_first < 0:
-        raise ValueError(f"--align-first is {config.align_first}; give a number of pairs, or 0 for all")
-    estimate, reference = read(config.trajectory), read(config.reference)
-    metrics: dict[str, Any] = {"trajectory": config.trajectory, "reference": config.reference}
-    lengths = [arc_length(_positions(estimate)), arc_length(_positions(reference))]
-    metrics |= {"poses": [len(length) for length in lengths], "path_m": [float(length[-1]) for length in lengths]}
-    metrics |= {"matched": {}, "ate_m": {}, "rpe": {}}
-    try:
-        for way in _ways(config, estimate, reference):
-            if way == "arc":
-                points = arc_length_association(_positions(reference), _positions(estimate), config.samples)
-            else:
-                i, j = _pairs(config, way, estimate, reference)
-                points = _positions(reference)[i], _positions(estimate)[j]
-                metrics["rpe"][way] = rpe(reference.poses[i], estimate.poses[j], config.delta)
-            metrics["matched"][way] = len(points[0])
-            metrics["ate_m"][way] = {name: ate(*points, name, config.align_first or None) for name in ALIGNMENTS}
-    except ValueError as error:
-        if config.trajectory in str(error) or config.reference in str(error):
-            raise
-        raise ValueError(f"{config.trajectory} against {config.reference}: {error}") from None
-    if {"row", "arc"} <= metrics["ate_m"].keys():
-        lag = np.abs(lengths[0] - lengths[1])
-        metrics["row_lag_m"] = {"max": float(lag.max()), "mean": float(lag.mean()), "row": int(lag.argmax())}
-    return metrics
-
-
-def report(metrics: dict[str, Any], config: EvaluationConfig) -> str:
-    """Formats `evaluate`'s result as a table, and says what was matched or why two associations differ."""
-    lines = [f"{'':34}" + "".join(f"{name:>11}" for name in COLUMNS)]
-    titles = {"time": "by time", "row": "by row", "arc": "by arc length"}
-    for way, per_alignment in metrics["ate_m"].items():
-        for name, values in per_alignment.items():
-            label = f"ATE m, {titles[way]}, align {name}"
-            lines.append(f"{label:34}" + "".join(f"{values[column]:11.6f}" for column in COLUMNS))
-    for way, parts in metrics["rpe"].items():
-        for part, unit in (("translation_m", "m"), ("rotation_deg", "deg")):
-            label = f"RPE {unit}, {titles[way]}, delta {config.delta}"
-            lines.append(f"{label:34}" + "".join(f"{parts[part][column]:11.6f}" for column in COLUMNS))
-    if "time" in metrics["matched"]:
-        matched, (own, other) = metrics["matched"]["time"], metrics["poses"]
-        lines.append(
-            f"matched {matched} of {own} poses to the reference's {other} within {config.max_time_difference_s:g} s"
-        )
-    lag = metrics.get("row_lag_m")
-    if lag and lag["max"] > 0.01 * metrics["path_m"][1]:
-        lines.append(
-            f"Why they differ: row by row the two files are up to {lag['max']:.1f} m (row {lag['row']}; mean "
-            f"{lag['mean']:.1f} m) out of step along the path; the error by row counts that, the error by arc length "
-            "only where the paths go."
-        )
-    return "\n".join(lines)
 
 
 def main(config: EvaluationConfig) -> None:
@@ -187,8 +67,8 @@ def nees(config: NeesConfig) -> None:
         raise ValueError("--distances and --pairs must be positive")
     from ebjax.viz.run_errors import frames_and_truth, relative_errors, scale_sigma
 
-    times, truth = frames_and_truth(config.run, config.reference, config.max_time_difference_s)
-    notes = [f"truth for {np.isfinite(truth).all(1).sum()} of {len(truth)} frames"]
+    times, truth, notes = frames_and_truth(config.run, config.reference, config.max_time_difference_s)
+    notes += [f"truth for {np.isfinite(truth).all(1).sum()} of {len(truth)} frames"]
     results: dict[str, Any] = {}
     for name, table_file, flag, groups in (
         ("steps", "steps.csv", "used", ("gap", "kind")),

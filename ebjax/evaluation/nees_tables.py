@@ -91,7 +91,7 @@ def _numbers(where: str, row: dict[str, str], names: Iterable[str]) -> list[floa
         except ValueError:
             values.append(math.nan)
         if not math.isfinite(values[-1]):
-            raise ValueError(f"{where}: {name} is {row[name]!r}; it must be a finite number")
+            raise ValueError(f"{where}: {name} is {row[name][:80]!r}; it must be a finite number")
     return values
 
 
@@ -100,7 +100,7 @@ def _frames(where: str, row: dict[str, str], times: np.ndarray) -> list[int]:
     for name, own in zip("ij", _numbers(where, row, ("time_i_s", "time_j_s")), strict=True):
         if not row[name].isdecimal() or int(row[name]) >= len(times):
             raise ValueError(
-                f"{where}: {name} is {row[name]!r}, and trajectory.tum has frames 0 to {len(times) - 1}; "
+                f"{where}: {name} is {row[name][:80]!r}, and trajectory.tum has frames 0 to {len(times) - 1}; "
                 "take both files from one run"
             )
         frames.append(int(row[name]))

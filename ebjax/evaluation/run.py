@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from ebjax.evaluation.degenerate import undefined
 from ebjax.evaluation.trajectory import ate
 
 
@@ -12,6 +13,8 @@ def trajectory_errors(
     truth: Float[np.ndarray, "N 3"], before: Float[np.ndarray, "N 3"], after: Float[np.ndarray, "N 3"]
 ) -> dict[str, Any]:
     """ATE rmse of odometry and of the corrected path after SE(2) alignment over all frames with truth, m.
+
+    Nothing where fewer than two frames have truth; None, and why, where the robot never moves.
 
     Args:
       truth: x, y, heading; NaN rows are left out.
@@ -22,6 +25,8 @@ def trajectory_errors(
     if known.sum() < 2:
         return {}
     flat = [np.concatenate([path[known, :2], np.zeros((int(known.sum()), 1))], 1) for path in (truth, before, after)]
+    if reason := undefined(flat[0], flat[1], "se2") or undefined(flat[0], flat[2], "se2"):
+        return {"ate_rmse_m": None, "ate_undefined": reason}
     return {
         "ate_rmse_m": {
             "before": ate(flat[0], flat[1], "se2")["rmse"],

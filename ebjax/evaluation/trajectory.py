@@ -1,13 +1,16 @@
-"""Trajectory errors in NumPy: association, alignment, absolute (ATE) and relative (RPE) errors, as evo defines them.
+"""Trajectory errors in NumPy: alignment, absolute (ATE) and relative (RPE) errors, as evo defines them.
 
 Positions and poses are those of the moving frame in the fixed one, metres, one row an instant. An error is meaningless
-without its statistic, alignment and association: say all three with every number.
+without its statistic, alignment and association: say all three with every number. Where noise decides about an
+alignment is told by `ebjax.evaluation.degenerate.undefined`.
 """
 
 from typing import Literal, get_args
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
+
+from ebjax.evaluation.degenerate import unsolvable
 
 Alignment = Literal["none", "se2", "se3", "sim3"]
 ALIGNMENTS: tuple[Alignment, ...] = get_args(Alignment)
@@ -71,37 +74,13 @@ def align(
     """Fits reference_from_estimate, `alignment` naming the group; none gives the identity.
 
     Raises:
-      ValueError: the positions never move.
+      ValueError: the positions do not determine it; says why.
     """
     if alignment == "none":
         return np.eye(4)
+    if reason := unsolvable(reference, estimate, alignment):
+        raise ValueError(f"alignment {alignment} is undefined: {reason}; use another alignment")
     return {"se2": align_se2, "se3": align_se3, "sim3": align_sim3}[alignment](estimate, reference)
-
-
-def associate(
-    reference_times: Float[np.ndarray, " N"], estimate_times: Float[np.ndarray, " M"], max_difference_s: float = 0.01
-) -> tuple[Int[np.ndarray, " K"], Int[np.ndarray, " K"]]:
-    """Pairs each instant of the shorter trajectory with the nearest of the longer, at most max_difference_s away.
-
-    Args:
-      reference_times: s, sorted.
-      estimate_times: s, sorted.
-      max_difference_s: how far apart two times may be.
-
-    Returns:
-      Row numbers of the pairs in the reference and in the estimate; both empty when nothing matches.
-    """
-    if len(reference_times) < len(estimate_times):
-        estimate, reference = associate(estimate_times, reference_times, max_difference_s)
-        return reference, estimate
-    after = np.clip(np.searchsorted(reference_times, estimate_times), 0, len(reference_times) - 1)
-    before = np.maximum(after - 1, 0)
-    nearer_before = estimate_times - reference_times[before] <= np.abs(reference_times[after] - estimate_times)
-    nearest = np.where(nearer_before, before, after)
-    # Of rows with one timestamp the first counts.
-    nearest = np.searchsorted(reference_times, reference_times[nearest])
-    kept = np.flatnonzero(np.abs(reference_times[nearest] - estimate_times) <= max_difference_s)
-    return nearest[kept], kept
 
 
 def arc_length(positions: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, " N"]:
@@ -157,7 +136,7 @@ def ate(
       `statistics` of the errors.
 
     Raises:
-      ValueError: no rows, or positions that never move while an alignment is asked for.
+      ValueError: no rows, or an alignment that the positions do not determine.
     """
     if len(reference) == 0:
         raise ValueError("no associated poses, so there is no error to compute")

@@ -1,6 +1,5 @@
 """How wrong a run is, against how wrong its own files say it is: its folder beside the true poses."""
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +8,9 @@ from jaxtyping import Float
 
 from ebjax.evaluation.nees import between, pairs_along, summaries, tangent_errors, with_scale
 from ebjax.evaluation.trajectory import arc_length
-from ebjax.io.sequence import poses_at
+from ebjax.io.clocks import trajectory_in_seconds
+from ebjax.io.json_text import parse_json
+from ebjax.io.timed_poses import poses_at
 from ebjax.io.trajectory import read
 from ebjax.posegraph.g2o import read_g2o
 from ebjax.posegraph.graph import components
@@ -19,12 +20,13 @@ from ebjax.slam.world import planar
 
 def frames_and_truth(
     run: Path, reference_file: str, max_time_difference_s: float
-) -> tuple[Float[np.ndarray, " F"], Float[np.ndarray, "F 3"]]:
-    """Times of the run's frames, and their true poses (x, y, heading), NaN where there is none."""
+) -> tuple[Float[np.ndarray, " F"], Float[np.ndarray, "F 3"], list[str]]:
+    """Times of the run's frames, their true poses (x, y, heading), NaN where there is none, and how they were read."""
     frames, reference = read(run / "trajectory.tum"), read(reference_file)
     for file in (frames, reference):
         if not file.timed:
             raise ValueError(f"{file.path}: it has no times; give TUM rows `timestamp tx ty tz qx qy qz qw`")
+    reference, converted = trajectory_in_seconds(reference, frames.timestamps)
     poses, found = poses_at(reference, frames.timestamps, max_time_difference_s)
     if found.sum() < 2:
         first, last = reference.timestamps[[0, -1]]
@@ -33,7 +35,7 @@ def frames_and_truth(
             f"{len(found)} frames, from {frames.timestamps[0]:.3f} to {frames.timestamps[-1]:.3f} s; "
             "give the reference of this run, on the same clock"
         )
-    return frames.timestamps, planar(poses)
+    return frames.timestamps, planar(poses), [*reference.notes, *converted]
 
 
 def scale_sigma(run: Path) -> float:
@@ -42,7 +44,7 @@ def scale_sigma(run: Path) -> float:
     if not path.exists():
         return 0.0
     try:
-        motion = json.loads(path.read_text(encoding="utf-8"))["motion"] or {}
+        motion = parse_json(path.read_text(encoding="utf-8"))["motion"] or {}
         found = float(motion.get("scale_sigma", 0.0))
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise ValueError(f"{path}: it is damaged; take it from the run, or remove it") from error
@@ -63,7 +65,7 @@ def relative_errors(
         lack = "is not a planar graph" if graph.group != "se2" else f"has vertex {ids[strange[0]]}, no frame of the run"
         raise ValueError(f"{path}: it {lack}; take it from the run that wrote trajectory.tum")
     truth, poses = truth[ids[rows]], np.asarray(graph.poses)[rows]
-    piece = components(len(ids), np.asarray(graph.i), np.asarray(graph.j))[rows]
+    piece = components(len(graph.poses), np.asarray(graph.i), np.asarray(graph.j))[rows]
     path_m = arc_length(np.concatenate([poses[:, :2], np.zeros((len(poses), 1))], 1))
     results: dict[str, Any] = {}
     for distance in distances:

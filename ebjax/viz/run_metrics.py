@@ -35,6 +35,7 @@ def run_metrics(sequence: Sequence, broken: Mapping[str, str], result: Result) -
         "closures_by_depth": int((kept & result.by_depth).sum()),
         "reasons": reason_counts(result.reasons),
         "nothing_kept": None if kept.any() else why_nothing(result.reasons, len(candidates.i)),
+        "frames_followed": result.followed,
         "motion": None if result.motion is None else motion_metrics(result.motion),
         "scale_from_height_m": None
         if sequence.odom_from_base is not None or sequence.has_depth
@@ -85,6 +86,9 @@ def summary_lines(metrics: Mapping[str, Any]) -> list[str]:
         f"{metrics['frames']} frames, {metrics['keyframes']} looked at, {metrics['candidates']} candidates verified, "
         f"{metrics['closures_kept']} loop closures kept ({metrics['closures_opposing']} from opposing views)"
     )
+    if metrics["frames_followed"]:
+        followed, total = metrics["frames_followed"]
+        lines.append(f"frame to frame: the floor measured {followed} of {total} steps")
     lines += motion_lines(metrics)
     if (height := metrics["scale_from_height_m"]) is not None:
         lines.append(f"scale: without wheels and depth all lengths rest on the camera's height of {height:.3f} m")
@@ -109,6 +113,8 @@ def summary_lines(metrics: Mapping[str, Any]) -> list[str]:
         )
     if error := metrics.get("ate_rmse_m"):
         lines.append(f"ATE rmse, SE(2)-aligned: {error['before']:.4f} m before, {error['after']:.4f} m after")
+    elif reason := metrics.get("ate_undefined"):
+        lines.append(f"ATE is undefined: {reason}")
     lines.append(
         f"{metrics['ms_per_frame']:.1f} ms a frame in the pipeline (compilation included where not cached), "
         f"{metrics['seconds']['total']:.1f} s in all, peak memory {metrics['peak_memory_mb']:.0f} MB"

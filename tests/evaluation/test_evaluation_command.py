@@ -93,3 +93,49 @@ def test_the_papers_number_and_the_honest_one(data, capsys):
     assert float(rows["ATE m, by arc length, align none"][1]) == pytest.approx(1.03, abs=0.005)
     assert float(rows["ATE m, by arc length, align se2"][1]) == pytest.approx(0.67, abs=0.005)
     assert out.count("Why they differ") == 1
+
+
+def test_a_robot_that_stands_still_is_compared_without_alignment(tmp_path, capsys):
+    still = np.tile(np.eye(4), (12, 1, 1))
+    write_kitti(tmp_path / "still.kitti", still)
+    still[:, 0, 3] = 0.25
+    write_kitti(tmp_path / "beside.kitti", still)
+    evaluate(tmp_path / "still.kitti", tmp_path / "beside.kitti", "--out", tmp_path)
+    out = capsys.readouterr().out
+    metrics = json.loads((tmp_path / "metrics.json").read_text())
+    assert metrics["ate_m"]["row"]["none"]["rmse"] == pytest.approx(0.25)
+    assert all(metrics["ate_m"]["row"][name] is None for name in ("se2", "se3", "sim3"))
+    assert out.count("undefined (the reference's poses never move") == 3
+    assert out.splitlines()[-1].startswith("not compared by arc length: the poses never move")
+
+
+def test_rows_without_a_pose_keep_the_others_in_step(tmp_path, capsys):
+    path = np.tile(np.eye(4), (30, 1, 1))
+    path[:, 0, 3], path[:, 1, 3] = np.arange(30.0), np.arange(30.0) ** 2 / 30
+    for name, lost in (("a", []), ("b", [4, 5, 11])):
+        write_kitti(tmp_path / f"{name}.kitti", path)
+        lines = (tmp_path / f"{name}.kitti").read_text().splitlines()
+        lines = [" ".join(["nan"] * 12) if k in lost else line for k, line in enumerate(lines)]
+        (tmp_path / f"{name}.kitti").write_text("\n".join(lines) + "\n")
+    evaluate(tmp_path / "b.kitti", tmp_path / "a.kitti", "--out", tmp_path)
+    metrics = json.loads((tmp_path / "metrics.json").read_text())
+    assert metrics["matched"] == {"row": 27, "arc": 1500} and metrics["poses"] == [27, 30]
+    assert metrics["ate_m"]["row"]["none"]["max"] == pytest.approx(0, abs=1e-9)
+    assert metrics["row_lag_m"]["max"] < 0.02
+
+
+@pytest.mark.parametrize("short", ["estimate.tum", "reference.tum"])
+def test_one_pose_is_no_trajectory(files, tmp_path, capsys, short):
+    write_tum(tmp_path / short, np.array([0.5]), straight(1))
+    with pytest.raises(SystemExit):
+        evaluate(*files)
+    assert f"{short}: one pose only; an error of a trajectory needs two or more" in capsys.readouterr().err
+
+
+def test_an_offset_without_times_is_refused(files, tmp_path, capsys):
+    write_kitti(tmp_path / "a.kitti", straight(20))
+    with pytest.raises(SystemExit):
+        evaluate(tmp_path / "a.kitti", files[1], "--time-offset-s", "3")
+    assert (
+        "--time-offset-s is 3, but " in (said := capsys.readouterr().err) and "a.kitti has no times; leave it" in said
+    )

@@ -95,3 +95,11 @@ def test_drift_leaves_out_frames_without_truth_and_needs_a_stretch():
     assert drift(truth[:90], path[:90]) == {}
     assert drift(np.full_like(truth, np.nan), path) == {}
     assert drift(truth[:90], path[:90], 2.0)["stretch_m"] == 2.0
+
+
+@pytest.mark.parametrize("still", ["truth", "before", "after"])
+def test_trajectory_errors_of_a_robot_that_stands_are_undefined(still):
+    moving = np.stack([np.arange(10.0), np.arange(10.0) ** 2, 0.1 * np.arange(10.0)], axis=1)
+    paths = {name: np.zeros((10, 3)) if name == still else moving for name in ("truth", "before", "after")}
+    found = trajectory_errors(paths["truth"], paths["before"], paths["after"])
+    assert found["ate_rmse_m"] is None and "never move" in found["ate_undefined"]

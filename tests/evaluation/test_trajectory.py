@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from ebjax.evaluation.association import associate
 from ebjax.evaluation.trajectory import (
     ALIGNMENTS,
     align,
     arc_length,
     arc_length_association,
-    associate,
     ate,
     rpe,
     statistics,
@@ -62,28 +62,6 @@ def test_statistics_of_known_errors():
     values = statistics(np.array([3.0, 4.0, 5.0, 0.0]))
     assert values["mean"] == 3 and values["median"] == 3.5 and values["max"] == 5 and values["min"] == 0
     assert values["rmse"] == pytest.approx(np.sqrt(12.5)) and values["std"] == pytest.approx(np.sqrt(3.5))
-
-
-def test_association_takes_the_nearest_and_only_near_ones():
-    reference = np.array([0.0, 0.1, 0.2, 0.3, 0.3, 0.4])
-    estimate = np.array([-1.0, 0.006, 0.096, 0.15, 0.3, 0.42])
-    i, j = associate(reference, estimate, 0.01)
-    np.testing.assert_array_equal(i, [0, 1, 3])
-    np.testing.assert_array_equal(j, [1, 2, 4])
-    # The shorter one asks, whichever side it stands on.
-    j, i = associate(estimate, np.append(reference, 9.0), 0.01)
-    np.testing.assert_array_equal(np.append(reference, 9.0)[i], [0, 0.1, 0.3])
-    assert [len(part) for part in associate(reference, estimate + 100, 0.01)] == [0, 0]
-
-
-def test_association_agrees_with_trying_every_pair():
-    rng = np.random.default_rng(2)
-    reference, estimate = np.sort(rng.uniform(0, 10, 300)), np.sort(rng.uniform(0, 10, 200))
-    i, j = associate(reference, estimate, 0.02)
-    gap = np.abs(reference[None, :] - estimate[:, None])
-    expected = np.flatnonzero(gap.min(axis=1) <= 0.02)
-    np.testing.assert_array_equal(j, expected)
-    np.testing.assert_array_equal(i, gap.argmin(axis=1)[expected])
 
 
 def test_arc_length_compares_places_not_instants():
