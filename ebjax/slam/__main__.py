@@ -22,11 +22,12 @@ from ebjax.geometry.camera import Camera, FloorView, camera_from
 from ebjax.io.atomic import whole_folder
 from ebjax.io.cache import open_cache
 from ebjax.io.calibration.depth_scale import depth_scale_in
+from ebjax.io.frames import Frames
 from ebjax.io.logs.camera import camera_of
 from ebjax.io.logs.mount_options import MountOptions
 from ebjax.io.logs.open import LogOptions, open_log
 from ebjax.io.mask import alpha_mask, read_mask
-from ebjax.io.sequence import BrokenFrame, Sequence, read_sequence, require_odometry
+from ebjax.io.sequence import Sequence, read_sequence, require_odometry
 from ebjax.io.timed_poses import MAX_GAP_S
 from ebjax.slam.pipeline import MountConfig, PipelineConfig, Remember, Result
 from ebjax.slam.pipeline import run as run_pipeline
@@ -94,34 +95,6 @@ class Config(PipelineConfig):
     """Folder where what networks make of every view stays for the next run; None: nowhere."""
 
 
-class Frames:
-    """The run's images, decoded when asked for; frames that cannot be read are noted and left out."""
-
-    def __init__(self, sequence: Sequence):
-        self.sequence = sequence
-        self._faults: dict[int, str] = {}
-
-    def load_rgb(self, k: int):
-        """RGB of frame k alone, in a tuple, or None; what is wrong with it is noted when it is loaded in full."""
-        try:
-            return (self.sequence.rgb(k),)
-        except BrokenFrame:
-            return None
-
-    def load(self, k: int):
-        """RGB and depth of frame k, or None."""
-        try:
-            return self.sequence.rgb(k), self.sequence.depth(k) if self.sequence.has_depth else None
-        except BrokenFrame as fault:
-            self._faults[k] = " ".join(str(fault).split())
-            return None
-
-    @property
-    def broken(self) -> dict[str, str]:
-        """What is wrong with the frames that could not be read, by name, in the order of the run."""
-        return {self.sequence.names[k]: self._faults[k] for k in sorted(self._faults)}
-
-
 def main(config: Config) -> None:
     """Reads, runs, writes."""
     started = time.perf_counter()
@@ -146,10 +119,12 @@ def main(config: Config) -> None:
         time_offset_s=0.0 if config.time_offset_s == "auto" else config.time_offset_s,
     )
     frames = Frames(sequence)
-    camera = run_camera(config, sequence, frames)
+    camera = camera_from(sequence.camera)
+    if config.floor == "depth":
+        camera = camera_by_depth(sequence, frames, camera)
     for note in (*remarks, *sequence.notes):
         print(note)
-    ignored = ignored_pixels(config, sequence, frames)
+    ignored = ignored_pixels(config.mask, sequence, frames)
     looking = partial(run_view, config, ignored)
     try:
         looking(camera)
@@ -187,8 +162,8 @@ def main(config: Config) -> None:
         if not frames.broken:
             raise
         first = next(iter(frames.broken.values()))
-        raise ValueError(f"{log.colour.source}: {fault}; repair the images, first {first}") from None
-    check_images(config, sequence, frames, result)
+        raise ValueError(f"{log.colour.source}: {fault}; first {first}") from None
+    check_images(config.min_readable, sequence, frames, result)
     if result.motion is not None and result.motion.offset.offset_s:
         sequence = sequence.at_offset(result.motion.offset.offset_s)
     metrics = run_metrics(sequence, frames.broken, result)
@@ -221,13 +196,16 @@ def run_view(config: Config, ignored: np.ndarray | None, camera: Camera) -> RunV
     return view if ignored is None else without(view, camera, ignored)
 
 
-def ignored_pixels(config: Config, sequence: Sequence, frames: Frames) -> np.ndarray | None:
-    """Pixels of the image that are no world, or None."""
+def ignored_pixels(mask: Literal["auto", "none"] | Path, sequence: Sequence, frames: Frames) -> np.ndarray | None:
+    """Pixels of the image that are no world: by a file, or found over the run (auto); None where there are none."""
     size = sequence.camera.width, sequence.camera.height
-    if config.mask == "none":
+    if mask == "none":
         return None
-    if config.mask != "auto":
-        return read_mask(config.mask, size)
+    if mask != "auto":
+        given, notes = read_mask(mask, size)
+        for note in notes:
+            print(note)
+        return given
     if sequence.files and (clear := alpha_mask(sequence.files, size)) is not None:
         print(f"mask: {clear.mean():.0%} of the image is transparent and ignored")
         return clear
@@ -259,12 +237,8 @@ def remembering(config: Config, at_end: contextlib.ExitStack) -> Remember | None
     return remember
 
 
-def run_camera(config: Config, sequence: Sequence, frames: Frames) -> Camera:
-    """The camera as it is mounted, or over the floor that the depth images show."""
-    file = sequence.camera
-    camera = camera_from(file)
-    if config.floor == "camera":
-        return camera
+def camera_by_depth(sequence: Sequence, frames: Frames, camera: Camera) -> Camera:
+    """The camera over the floor that the depth images show."""
     if not sequence.has_depth:
         raise ValueError(f"{sequence.path}: --floor depth needs a log with depth, and --depth sequence")
     chosen = spread_rows(np.arange(len(sequence)), 9)
@@ -277,13 +251,13 @@ def run_camera(config: Config, sequence: Sequence, frames: Frames) -> Camera:
     return camera
 
 
-def check_images(config: Config, sequence: Sequence, frames: Frames, result: Result) -> None:
+def check_images(min_readable: float, sequence: Sequence, frames: Frames, result: Result) -> None:
     """Refuses a run of which too little could be read; warns where depth and camera.json disagree about the floor."""
     asked = len(result.keyframes) + len(frames.broken)
-    if len(result.keyframes) < config.min_readable * asked:
+    if len(result.keyframes) < min_readable * asked:
         raise ValueError(
             f"{sequence.log.colour.source}: {len(frames.broken)} of {asked} frames could not be read, "
-            f"first {next(iter(frames.broken.values()))}; repair them, or set --min-readable lower"
+            f"first {next(iter(frames.broken.values()))}; or set --min-readable lower"
         )
     if not sequence.has_depth:
         return

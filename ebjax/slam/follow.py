@@ -2,7 +2,7 @@
 
 import jax
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from ebjax.geometry.camera import Camera
 from ebjax.geometry.planar import chained, inverse
@@ -21,14 +21,15 @@ def follow(
     keyframe_m: float,
     keyframe_deg: float,
     config: MotionConfig,
-) -> tuple[Int[np.ndarray, " n"], Described, Float[np.ndarray, "F 3"]]:
+) -> tuple[Int[np.ndarray, " n"], Described, Float[np.ndarray, "F 3"], Bool[np.ndarray, " M"]]:
     """Measures every frame against the one before; a step that fails goes on at the last speed.
 
     A frame is a keyframe where the robot has moved or turned enough since the last one, and at either side of a step
     that failed.
 
     Returns:
-      The keyframes' frame numbers, their descriptions, and where every frame is thought to be.
+      The keyframes' frame numbers, their descriptions, where every frame is thought to be, and which frames the floor
+      showed to follow on the one before.
     """
     count = len(frames)
     later, earlier = np.arange(1, count), np.arange(count - 1)
@@ -57,4 +58,4 @@ def follow(
             chosen.append(k)
     rows = np.array(chosen)
     every = np.stack([np.interp(np.arange(len(timestamps)), frames, path[:, axis]) for axis in range(3)], 1)
-    return frames[rows], jax.tree.map(lambda leaf: leaf[rows], described), every
+    return frames[rows], jax.tree.map(lambda leaf: leaf[rows], described), every, good

@@ -88,7 +88,7 @@ class Look:
     described: Described
     camera: Camera
     view: RunView
-    level_from_base: Float[np.ndarray, "F 4 4"] | None = None
+    lean: Lean | None = None
 
 
 def shown_by_the_floor(
@@ -154,22 +154,25 @@ class Asked:
         change = np.linalg.norm(np.diff(seen, axis=0), axis=1)
         firsts = np.sort(np.argsort(-change, kind="stable")[:PAIRS])
         pairs = [(frames[k + 1], frames[k]) for k in firsts.tolist()]
+        agree = self.agree(pairs, level_from_base), self.agree(pairs)
+        return Lean(level_from_base, by, float(np.sqrt((seen**2).sum(1).mean())), agree)
+
+    def agree(
+        self,
+        pairs: list[tuple[int, int]],
+        level_from_base: Float[np.ndarray, "F 4 4"] | None = None,
+        camera: Camera | None = None,
+    ) -> int:
+        """Matches of all pairs of frames that agree to 1 cm, where the robot leans so, or sees by another camera."""
+        camera = camera or self.camera
+        view = self.view_of(camera)
         chosen = [
             frame for frame in sorted({frame for pair in pairs for frame in pair}) if self.load(frame) is not None
         ]
-        rms_deg = float(np.sqrt((seen**2).sum(1).mean()))
         if len(chosen) < 2:
-            return Lean(level_from_base, by, rms_deg, (0, 0))
-        agree = self._agree(chosen, pairs, level_from_base), self._agree(chosen, pairs, None)
-        return Lean(level_from_base, by, rms_deg, agree)
-
-    def _agree(
-        self, chosen: list[int], pairs: list[tuple[int, int]], level_from_base: Float[np.ndarray, "F 4 4"] | None
-    ) -> int:
-        """Matches of all pairs that agree to 1 cm, where the robot is looked at as it leans so."""
-        view = self.view_of(self.camera)
+            return 0
         read, described = describe_keyframes(
-            self.load, chosen, self.camera, view, self.extractor, self.descriptor, _silent, level_from_base
+            self.load, chosen, camera, view, self.extractor, self.descriptor, _silent, level_from_base
         )
         row = {frame: k for k, frame in enumerate(read.tolist())}
         rows = np.array([(row[i], row[j]) for i, j in pairs if i in row and j in row], int).reshape(-1, 2)
@@ -177,7 +180,7 @@ class Asked:
         verified = verify_blocks(
             lambda a, b, _: (take(marks, a), take(marks, b)),
             view,
-            self.camera,
+            camera,
             rows[:, 0],
             rows[:, 1],
             np.zeros(len(rows), bool),

@@ -118,6 +118,8 @@ class Result:
       solution: its optimum.
       poses: of all frames: x, y (m), heading (rad).
       seconds: of each stage.
+      lean: how the robot leans, where something says so.
+      followed: without wheels, how many frames the floor showed to follow on the one before, and of how many.
     """
 
     keyframes: Int[np.ndarray, " N"]
@@ -136,6 +138,7 @@ class Result:
     poses: Float[np.ndarray, "F 3"]
     seconds: dict[str, float]
     lean: Lean | None = None
+    followed: tuple[int, int] | None = None
 
     @property
     def kept(self) -> Bool[np.ndarray, " K"]:
@@ -275,6 +278,7 @@ def run(
         poses,
         seconds,
         found.lean,
+        found.followed,
     )
 
 

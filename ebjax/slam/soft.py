@@ -1,12 +1,12 @@
-"""The whole pipeline as one differentiable function of the camera's mounting, the vocabulary and a network's weights.
+"""The whole pipeline as one differentiable function of the camera, the vocabulary and a network's weights.
 
     floor view -> descriptors -> NetVLAD, as it is and turned by pi -> d_ij = 1 - cosine -> sigmoid((tau - d_ij) / T)
                -> dual-softmax matches -> Kabsch on metric floor points -> i_from_j
     odometry + i_from_j, its square-root information times that weight -> pose graph -> trajectory -> ATE
 
 Exact derivatives throughout, of the pose graph by its implicit adjoint. What is discrete is settled before, in `Pairs`:
-which views are compared, and which points of the image are described. Those points stay where they are in the image
-when the camera is moved; where they lie on the floor follows from it.
+which views are compared, and which points of the image are described. Those points stay where they are in the raw
+image when the camera is moved or its lens changes; where they lie on the floor follows from both.
 """
 
 import dataclasses
@@ -20,9 +20,10 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ebjax.features.measure import LoopMeasurement
 from ebjax.features.soft_match import dual_softmax, soft_measure
-from ebjax.geometry.camera import Camera, FloorView, image_from_view
+from ebjax.geometry.camera import OUTSIDE_PX, Camera, FloorView, ideal_from_raw, image_from_view
 from ebjax.geometry.homography import adjugate, apply
 from ebjax.geometry.mount import Mounting, remounted
+from ebjax.geometry.optics import Optics, with_optics
 from ebjax.geometry.rigid import kabsch
 from ebjax.places.vlad import centred, netvlad
 from ebjax.posegraph.graph import PoseGraph
@@ -49,11 +50,12 @@ class Words:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Parameters:
-    """All that can be tuned; `backbone` are the weights of the look, None for rootSIFT."""
+    """All that can be tuned: `backbone` are the weights of the look, None for rootSIFT; None keeps the optics."""
 
     mounting: Mounting
     words: Words
     backbone: Any = None
+    optics: Optics | None = None
 
 
 @typing.no_type_check
@@ -76,7 +78,7 @@ class SoftRun:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Points:
-    """The image points that are described (px), which of them count, and which pixels of the floor view are seen."""
+    """The raw image points that are described (px), which count, and which pixels of the floor view are seen."""
 
     keypoints: Float[Array, "K 2"]
     mask: Float[Array, "K"]
@@ -131,27 +133,38 @@ class Corrected(typing.NamedTuple):
     measured: LoopMeasurement
 
 
-def image_from_floor_view(parameters: Parameters, run: SoftRun, floor: FloorView) -> Float[Array, "3 3"]:
-    """View pixel -> image pixel under the camera as it is mounted."""
-    return image_from_view(remounted(run.camera, parameters.mounting), floor)
+def tuned(parameters: Parameters, camera: Camera) -> Camera:
+    """The camera as the parameters have it mounted, and behind the lens that they say."""
+    camera = remounted(camera, parameters.mounting)
+    return camera if parameters.optics is None else with_optics(camera, parameters.optics)
 
 
 def describe(
     parameters: Parameters, run: SoftRun, points: Points, softness: Softness
-) -> tuple[Float[Array, "N 2 K D"], Float[Array, "K 2"]]:
-    """Descriptors of the points in every view, as it is ([:, 0]) and turned by pi; where on the floor they lie, m."""
+) -> tuple[Float[Array, "N 2 K D"], Float[Array, "K 2"], Float[Array, "K"]]:
+    """What the points look like and where they are.
+
+    Returns:
+      Descriptors of the points in every view, as it is ([:, 0]) and turned by pi; where on the floor they lie, m; and
+      their mask, zero too where the lens as it is now shows no such point.
+    """
     floor, dtype = softness.floor, run.images.dtype
-    homography = image_from_floor_view(parameters, run, floor)
-    where = apply(adjugate(homography), points.keypoints)
-    looked, at = (homography, where) if softness.exact else jax.lax.stop_gradient((homography, where))
+    camera = tuned(parameters, run.camera)
+    homography = image_from_view(camera, floor)
+    ideal = ideal_from_raw(camera, points.keypoints)
+    shown = ideal[:, :1] > OUTSIDE_PX
+    where = apply(adjugate(homography), jnp.where(shown, ideal, points.keypoints))
+    looked, at, through = (homography, where, camera)
+    if not softness.exact:
+        looked, at, through = jax.lax.stop_gradient((homography, where, camera))
     view = RunView(looked, jnp.asarray(floor.floor_from_view, homography.dtype), points.seen > 0)
-    samples = view_taps(view, run.camera, dtype)
+    samples = view_taps(view, through, dtype)
 
     @jax.checkpoint
     def one(image):
         return softness.look(parameters.backbone, floor_view(image, samples), points.seen, at.astype(dtype))
 
-    return jax.lax.map(one, run.images), apply(view.floor_from_view, where)
+    return jax.lax.map(one, run.images), apply(view.floor_from_view, where), points.mask * shown[:, 0]
 
 
 def global_vectors(
@@ -169,8 +182,8 @@ def global_vectors(
 @partial(jax.jit, static_argnames="softness")
 def correct(parameters: Parameters, run: SoftRun, points: Points, pairs: Pairs, softness: Softness) -> Corrected:
     """The corrected trajectory; differentiable in `parameters`, once, forward or backward."""
-    descriptors, floor_points = describe(parameters, run, points, softness)
-    vectors = global_vectors(parameters.words, descriptors, points.mask)
+    descriptors, floor_points, mask = describe(parameters, run, points, softness)
+    vectors = global_vectors(parameters.words, descriptors, mask)
     way = pairs.opposing.astype(jnp.int32)
     theirs = jnp.take_along_axis(vectors[pairs.j], way[:, None, None], 2)[..., 0]
     distance = 1 - jnp.sum(vectors[pairs.i, :, 0] * theirs, 1)
@@ -179,9 +192,7 @@ def correct(parameters: Parameters, run: SoftRun, points: Points, pairs: Pairs, 
     @jax.checkpoint
     def measure(pair):
         i, j, way = pair
-        matches = dual_softmax(
-            descriptors[i, 0], descriptors[j, way], points.mask, points.mask, softness.match_temperature
-        )
+        matches = dual_softmax(descriptors[i, 0], descriptors[j, way], mask, mask, softness.match_temperature)
         return soft_measure(floor_points, floor_points, matches)
 
     measured = jax.lax.map(measure, (pairs.i, pairs.j, way))

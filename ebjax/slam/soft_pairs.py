@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ebjax.geometry.camera import FloorView, field_of_view
+from ebjax.geometry.camera import FloorView, field_of_view, image_from_view, raw_from_ideal
 from ebjax.geometry.homography import apply
 from ebjax.odometry.wheels import WheelErrors
 from ebjax.places.descriptor_map import MIN_SUPPORT
@@ -27,7 +27,7 @@ from ebjax.slam.soft import (
     SoftRun,
     describe,
     global_vectors,
-    image_from_floor_view,
+    tuned,
 )
 from ebjax.slam.soft_look import support
 
@@ -57,20 +57,22 @@ def grid(floor: FloorView, stride_m: float) -> Float[np.ndarray, "K 2"]:
 
 @partial(jax.jit, static_argnames="softness")
 def choose_points(parameters: Parameters, run: SoftRun, softness: Softness) -> Points:
-    """Points of a grid on the floor, under the camera as it is mounted now; those count whose surroundings are seen."""
+    """Points of a grid on the floor, under the camera as it is now; those count whose surroundings are seen."""
     floor = softness.floor
-    homography = image_from_floor_view(parameters, run, floor)
-    seen = field_of_view(run.camera, homography, floor.size, MARGIN_PX).astype(run.images.dtype)
+    camera = tuned(parameters, run.camera)
+    homography = image_from_view(camera, floor)
+    seen = field_of_view(camera, homography, floor.size, MARGIN_PX).astype(run.images.dtype)
     where = jnp.asarray(grid(floor, softness.stride_m), homography.dtype)
     share = support(seen, where.astype(seen.dtype), floor.metres_per_px)
     share, best = jax.lax.top_k(share, min(softness.points, len(where)))
-    return Points(apply(homography, where[best]), (share > MIN_SUPPORT).astype(seen.dtype), seen)
+    keypoints = raw_from_ideal(camera, apply(homography, where[best]))
+    return Points(keypoints, (share > MIN_SUPPORT).astype(seen.dtype), seen)
 
 
 @partial(jax.jit, static_argnames=("softness", "gap_s", "gap_m", "candidates"))
 def _rank(parameters, run, points, softness, gap_s, gap_m, candidates):
-    descriptors, _ = describe(parameters, run, points, softness)
-    vectors = global_vectors(parameters.words, descriptors, points.mask)
+    descriptors, _, mask = describe(parameters, run, points, softness)
+    vectors = global_vectors(parameters.words, descriptors, mask)
     step = jnp.linalg.norm(jnp.diff(run.chain.poses[:, :2], axis=0), axis=1)
     travelled = jnp.concatenate([jnp.zeros(1, step.dtype), jnp.cumsum(step)])
     allowed = comparable(run.times_s, travelled, gap_s, gap_m)

@@ -25,6 +25,7 @@ from ebjax.slam.describe import Described
 from ebjax.slam.follow import follow
 from ebjax.slam.keyframes import Load, Progress, describe_keyframes, moved_enough
 from ebjax.slam.lean import Asked, By, Lean, Look, shown_by_depth, shown_by_the_floor, used
+from ebjax.slam.lens_check import lens_warning
 from ebjax.slam.path import Path, path_of_motion, path_of_wheels
 from ebjax.views.run_view import RunView, remounted_view
 
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
 
 LOOK_AGAIN_DEG = 0.1
 """A tilt that was off by more shows the floor bent: the images are looked at again under the right one."""
+MUCH_DEG = 0.5
+"""A tilt that was off by more may be a lens that bends."""
 MANY, FEW_AGREE, OFTEN = 60, 0.4, 0.15
 """Of so many matches of two successive views less than that share agrees, in more than this share of all such pairs."""
 
@@ -54,7 +57,8 @@ class Travel:
     """The keyframes' numbers and descriptions under the camera that the run settled on, and the path.
 
     `motion`, `given` and `looked` (described under the camera as given) are None where wheels alone say the path;
-    `lean` where odometry says nothing of roll and pitch.
+    `lean` where nothing says how the robot leans. `followed`, without wheels: how many frames the floor showed to
+    follow on the one before, and of how many.
     """
 
     keyframes: Int[np.ndarray, " N"]
@@ -66,6 +70,7 @@ class Travel:
     given: Keyframes | None = None
     looked: Described | None = None
     way: Float[np.ndarray, "F 3"] | None = None
+    followed: tuple[int, int] | None = None
     lean: Lean | None = None
 
     def moved_to(self, motion: Motion) -> "Travel":
@@ -123,20 +128,20 @@ def travel(
     else:
         frames = moved_enough(odometry, config.keyframe_m, config.keyframe_deg)
 
-    def look(camera: Camera, level: Float[np.ndarray, "F 4 4"] | None) -> Look:
+    def look(camera: Camera, lean: Lean | None) -> Look:
         start = time.perf_counter()
         view = view_of(camera)
-        found = describe_keyframes(recording.load, frames, camera, view, chosen, place, progress, level)
+        found = describe_keyframes(recording.load, frames, camera, view, chosen, place, progress, used(lean))
         seconds["describe"] = seconds.get("describe", 0.0) + time.perf_counter() - start
-        return Look(*found, camera, view, level)
+        return Look(*found, camera, view, lean)
 
-    def move(first: Look, level: Float[np.ndarray, "F 4 4"] | None) -> Travel:
+    def move(first: Look, lean: Lean | None) -> Travel:
         found = _moved(recording, first, floor_alone, config)
         assert found.motion is not None
         tilt = found.motion.tilt
         if not tilt.applied or max(abs(tilt.pitch_deg), abs(tilt.roll_deg)) < LOOK_AGAIN_DEG:
             return found
-        again = _moved(recording, look(found.camera, level), floor_alone, config)
+        again = _moved(recording, look(found.camera, lean), floor_alone, config)
         assert again.motion is not None
         motion = dataclasses.replace(again.motion, tilt=tilt.further(again.motion.tilt))
         return dataclasses.replace(again, motion=motion)
@@ -149,20 +154,21 @@ def travel(
     level_at = recording.level_at or (lambda _: None)
     asked = Asked(recording.load, camera, view_of, chosen, place, config.seed)
     lean = asked.leaning("odometry", frames, level_at(0.0))
-    first = look(camera, used(lean))
-    found = move(first, used(lean))
+    first = look(camera, lean)
+    found = move(first, lean)
     assert found.motion is not None
     offset_s = found.motion.offset.offset_s
     if used(lean) is None and suspicious(found.motion):
         shown = nodding(recording, first, asked, None if floor_alone else odometry)
         lean = shown or lean
         if used(shown) is not None:
-            found = move(look(camera, used(shown)), used(shown))
+            found = move(look(camera, shown), shown)
     elif lean is not None and offset_s:
         later = level_at(offset_s)
         if later is not None and apart_deg(later, lean.level_from_base) > LOOK_AGAIN_DEG:
             lean = asked.leaning("odometry", frames, later)
-            found = move(look(camera, used(lean)), used(lean))
+            found = move(look(camera, lean), lean)
+    found = _lens_checked(found, asked, first.keyframes)
     seconds["motion"] = time.perf_counter() - start - seconds["describe"]
     return dataclasses.replace(found, lean=lean)
 
@@ -181,6 +187,20 @@ def nodding(recording: Recording, seen: Look, asked: Asked, wheels: Float[np.nda
     return lean
 
 
+def _lens_checked(found: Travel, asked: Asked, keyframes: Int[np.ndarray, " N"]) -> Travel:
+    """The same; with a warning where the mount is off, or many steps fail, and another lens explains more."""
+    assert found.motion is not None
+    tilt, warnings = found.motion.tilt, found.motion.warnings
+    off = bool(warnings) or max(abs(tilt.pitch_deg), abs(tilt.roll_deg)) > MUCH_DEG
+    if asked.camera.lens.model != "pinhole" or not (off or suspicious(found.motion)):
+        return found
+    believed = asked.camera, found.camera
+    warning = lens_warning(asked, believed, keyframes)
+    if warning is None:
+        return found
+    return dataclasses.replace(found, motion=dataclasses.replace(found.motion, warnings=(*warnings, warning)))
+
+
 def apart_deg(one: Float[np.ndarray, "F 4 4"], two: Float[np.ndarray, "F 4 4"]) -> float:
     """How differently a robot leans in the one and the other, degrees, root mean square."""
     return float(np.degrees(np.sqrt(((one - two)[:, 2, :2] ** 2).sum(1).mean())))
@@ -197,15 +217,17 @@ def suspicious(motion: Motion | None) -> bool:
 
 def _moved(recording: Recording, seen: Look, floor_alone: bool, config: "PipelineConfig") -> Travel:
     keyframes, described, camera, view = seen.keyframes, seen.described, seen.camera, seen.view
+    # What floor views say of a lean says little in turns, where the whole image is asked.
+    level = None if seen.lean is None or seen.lean.by == "floor" else used(seen.lean)
     steps, at = motion_config(config, recording), recording.odometry_at
     odometry = recording.odom_from_base
     if odometry is None or floor_alone:
-        keyframes, described, way = follow(
+        keyframes, described, way, good = follow(
             described, keyframes, recording.timestamps, view, camera, config.keyframe_m, config.keyframe_deg, steps
         )
-        wheels_at = None
+        wheels_at, followed = None, (int(good.sum()), len(good))
     else:
-        way = odometry
+        way, followed = odometry, None
 
         def wheels_at(offset: float) -> Float[np.ndarray, "N 3"]:
             return (way if not offset or at is None else at(offset))[keyframes]
@@ -219,11 +241,11 @@ def _moved(recording: Recording, seen: Look, floor_alone: bool, config: "Pipelin
         wheels_at,
         recording.load,
         recording.ignored,
-        None if seen.level_from_base is None else seen.level_from_base[keyframes],
+        None if level is None else level[keyframes],
     )
     motion = fused_motion(given, camera, way[keyframes], steps)
     if motion.offset.offset_s and at is not None:
         way = at(motion.offset.offset_s)
     path = path_of_motion(motion, way)
-    found = Travel(keyframes, described, camera, view, path, motion, given, described, way)
+    found = Travel(keyframes, described, camera, view, path, motion, given, described, way, followed)
     return found if motion.camera is camera else found.moved_to(motion)

@@ -15,6 +15,7 @@ import yaml
 
 from ebjax.command import run
 from ebjax.io.text import read_text
+from ebjax.io.yaml_text import parse_yaml
 from ebjax.train import processes
 
 TASKS = {
@@ -42,7 +43,7 @@ def task_of(argv: list[str]) -> str:
             return _known(value, source)
         if flag == "--config":
             try:
-                values = yaml.safe_load(read_text(value))
+                values = parse_yaml(read_text(value))
             except yaml.YAMLError:
                 continue  # told with its line when the whole file is read
             named, source = (values.get("task") if isinstance(values, dict) else None), f"{value}: task"

@@ -1,7 +1,7 @@
 """What calibration looks at: the same floor seen from two places, some decimetres of driving apart.
 
-A match is two rays in the camera's frame, so that it does not depend on how the camera is mounted; the floor views in
-which it was found do, and only have to be good enough to match.
+A match is two pixels of raw images, so that it depends neither on how the camera is mounted nor on its lens; the floor
+views in which it was found do, and only have to be good enough to match.
 """
 
 import dataclasses
@@ -16,9 +16,8 @@ from jaxtyping import Array, Float, Int
 from ebjax.features.matching import Features, mutual_nearest
 from ebjax.features.upright import extract
 from ebjax.geometry.camera import Camera
-from ebjax.geometry.homography import Arrays, denominator
-from ebjax.geometry.homography import apply as apply_homography
 from ebjax.odometry.wheels import WheelErrors
+from ebjax.train.calibrate_floor import raw_keypoints
 from ebjax.views.floor_view import floor_view, view_taps
 from ebjax.views.run_view import RunView
 
@@ -40,18 +39,25 @@ class FloorPairs:
     """P pairs of frames with K matches each; the later frame of a pair comes second.
 
     Attributes:
-      rays: X / Z of the matched keypoints in the camera frame.
-      spreads: how a ray changes with one standard deviation of its keypoint along either axis of the view.
+      camera: that took the images, as it was believed before any was looked at.
+      pixels: the matched keypoints in the raw images, px.
+      slopes: how a pixel changes with one standard deviation of its keypoint along either axis of the view.
       valid: 1 where there is a match, 0 elsewhere.
       motion: first_from_second by odometry: x, y (m), heading (rad).
       noise: lower Cholesky factor of the covariance of that motion.
     """
 
-    rays: Float[Array, "P 2 K 3"]
-    spreads: Float[Array, "P 2 K 3 2"]
+    camera: Camera
+    pixels: Float[Array, "P 2 K 2"]
+    slopes: Float[Array, "P 2 K 2 2"]
     valid: Float[Array, "P K"]
     motion: Float[Array, "P 3"]
     noise: Float[Array, "P 3 3"]
+
+    def some(self, rows: Int[np.ndarray, " R"]) -> "FloorPairs":
+        """Only these pairs."""
+        parts = (self.pixels, self.slopes, self.valid, self.motion, self.noise)
+        return FloorPairs(self.camera, *(part[rows] for part in parts))
 
 
 def relative_motion(
@@ -137,22 +143,12 @@ def _match(first: Features, second: Features):
     return jax.lax.map(lambda two: mutual_nearest(*two, keep=MATCHES), (first, second))
 
 
-@jax.jit
-def _rays(image_from_view: Float[Arrays, "3 3"], intrinsics: Float[Arrays, "3 3"], keypoints: Float[Arrays, "N 2"]):
-    """Rays of keypoints of the view, and their spreads."""
-    h = jnp.asarray(image_from_view)
-    pixels = apply_homography(h, keypoints)
-    slope = (h[None, :2, :2] - pixels[:, :, None] * h[None, 2:, :2]) / denominator(h, keypoints)[:, None, None]
-    inverse = jnp.linalg.inv(jnp.asarray(intrinsics))
-    rays = jnp.concatenate([pixels, jnp.ones_like(pixels[:, :1])], 1) @ inverse.T
-    return rays, KEYPOINT_PX * jnp.einsum("ab,nbc->nac", inverse[:, :2], slope)
-
-
 def match_pairs(
     load: Load,
     first: Int[np.ndarray, " P"],
     second: Int[np.ndarray, " P"],
     odom_from_base: Float[np.ndarray, "F 3"],
+    believed: Camera,
     camera: Camera,
     view: RunView,
     odometry: WheelErrors,
@@ -165,7 +161,8 @@ def match_pairs(
       first: frame numbers.
       second: frame numbers.
       odom_from_base: x, y (m), heading (rad) of every frame.
-      camera: says with the view where the floor is looked for.
+      believed: the camera before any image was looked at.
+      camera: as it is known by now; the floor is looked at through it.
       view: of this camera.
       odometry: how it errs.
       progress: wraps the long loop.
@@ -196,12 +193,13 @@ def match_pairs(
     ends = zip(rows, (matches.query, matches.reference), strict=True)
     keypoints = np.stack([features.keypoints[r[:, None], chosen] for r, chosen in ends], 1)
     flat = jnp.asarray(keypoints.reshape(-1, 2), view.image_from_view.dtype)
-    rays, spreads = _rays(view.image_from_view, jnp.asarray(camera.intrinsics), flat)
+    pixels, slopes = raw_keypoints(view, camera, flat, KEYPOINT_PX)
     shape = keypoints.shape[:3]
     return FloorPairs(
-        rays.reshape(*shape, 3),
-        spreads.reshape(*shape, 3, 2),
-        jnp.asarray(matches.valid, rays.dtype),
-        jnp.asarray(relative_motion(odom_from_base, first, second), rays.dtype),
-        jnp.asarray(motion_noise(odom_from_base, first, second, odometry), rays.dtype),
+        believed,
+        pixels.reshape(*shape, 2),
+        slopes.reshape(*shape, 2, 2),
+        jnp.asarray(matches.valid, pixels.dtype),
+        jnp.asarray(relative_motion(odom_from_base, first, second), pixels.dtype),
+        jnp.asarray(motion_noise(odom_from_base, first, second, odometry), pixels.dtype),
     )

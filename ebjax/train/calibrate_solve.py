@@ -1,61 +1,51 @@
-"""The camera over which matched floor points coincide under odometry.
+"""The camera under which matched floor points coincide under odometry.
 
-For a match of rays u, v in frames i, j, with F(m, .) the floor point of a ray under the mount m,
+For a match of raw pixels u, v in frames i, j, with F(c, .) the floor point of a pixel under the camera c,
 
-    r = S^-1/2 (i_from_j F(m, v) - F(m, u)),   i_from_j = odometry + L n,   S = A_u A_u^T + R A_v A_v^T R^T,
+    r = S^-1/2 (i_from_j F(c, v) - F(c, u)),   i_from_j = odometry + L n,   S = A_u A_u^T + R A_v A_v^T R^T,
 
-A being the keypoint's standard deviation carried to the floor by dF: without that factor, which moves with m, the
+A being the keypoint's standard deviation carried to the floor by dF: without that factor, which moves with c, the
 noise of the matches would pull the floor towards the camera, where everything is smaller. Minimised is
 
-    sum_pairs ( sum_matches width^2 log(1 + r^T r / width^2) + n^T n ) + |(m - start) / sigma|^2
+    sum_pairs ( sum_matches width^2 log(1 + r^T r / width^2) + n^T n ) + |(c - start) / sigma|^2
 
-over the mount and, pair by pair, over the errors n of its odometry: the best n of a pair is a function of m (variable
-projection), found by Gauss-Newton and differentiated through its last step only (Kaufman 1975). The gradient of the sum
-is exact all the same, n being an optimum. What a run does not tell of the mount stays at the start.
+over the camera's numbers (`calibrate_camera`) and, pair by pair, over the errors n of its odometry: the best n of a
+pair is a function of c (variable projection), found by Gauss-Newton and differentiated through its last step only
+(Kaufman 1975). The gradient of the sum is exact all the same, n being an optimum. What a run does not tell of the
+camera stays at the start: motion over a plane tells F over the part of the image that sees the floor, so all that a
+homography cannot undo (the lens), but of ten numbers of mount and K only the eight of a homography.
 """
 
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optimistix as optx
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from ebjax.geometry.homography import Arrays
-from ebjax.geometry.mount import Mount, base_from_mounted_camera
+from ebjax.train.calibrate_camera import MOUNT, Numbers, with_numbers
+from ebjax.train.calibrate_floor import Rays, on_floor, rays_of_pixels
 from ebjax.train.calibrate_pairs import FloorPairs
 
 INNER_STEPS = 8
 MAX_STEPS = 50
-LEAST_DOWN = 1e-3
-"""Rays flatter than this, m of height per m ahead, are taken to meet the floor at that slope."""
+LOST = 100.0
+"""What a match counts one of whose pixels the lens cannot show, standard deviations: as much as a very wrong one."""
 
 
 class Solved(NamedTuple):
-    """A mount, the cost there, and the distance |r| of every match and the odometry's errors n of every pair."""
+    """A camera's numbers, the cost there, the distance |r| of every match, the odometry's errors n of every pair."""
 
-    mount: Float[Array, "6"]
+    numbers: Float[Array, " N"]
     cost: Float[Array, ""]
     distance: Float[Array, "P K"]
     errors: Float[Array, "P 3"]
 
 
-@jax.jit
-def on_floor(
-    mount: Mount, rays: Float[Array, "*n 3"], spreads: Float[Array, "*n 3 2"]
-) -> tuple[Float[Array, "*n 2"], Float[Array, "*n 2 2"]]:
-    """Where rays meet the floor in base, m, and their keypoints' standard deviations there."""
-    pose = base_from_mounted_camera(mount)
-    ray, spread = rays @ pose[:3, :3].T, jnp.einsum("ab,...bk->...ak", pose[:3, :3], spreads)
-    down = jnp.minimum(ray[..., 2:], -LEAST_DOWN)
-    reach = -pose[2, 3] / down
-    points = reach * ray[..., :2] + pose[:2, 3].reshape(*(1,) * (rays.ndim - 1), 2)
-    slopes = reach[..., None] * (spread[..., :2, :] - (ray[..., :2] / down)[..., None] * spread[..., 2:, :])
-    return points, slopes
-
-
 class _Floor(NamedTuple):
-    """Floor points of the first and second frames, and the lower Cholesky factor of S by its entries; P x K each."""
+    """Floor points of both frames, the lower Cholesky factor of S by its entries, and which exist; P x K each."""
 
     ax: Array
     ay: Array
@@ -64,10 +54,11 @@ class _Floor(NamedTuple):
     l11: Array
     l21: Array
     l22: Array
+    there: Bool[Array, "P K"]
 
 
-def _floor(mount, pairs):
-    points, slopes = on_floor(mount, pairs.rays, pairs.spreads)
+def _floor(mount: Numbers, rays: Rays, pairs: FloorPairs) -> _Floor:
+    points, slopes = on_floor(mount, rays.rays, rays.spreads)
     c, s = jnp.cos(pairs.motion[:, 2])[:, None, None], jnp.sin(pairs.motion[:, 2])[:, None, None]
     first, second = slopes[:, 0], slopes[:, 1]
     turned = jnp.stack(
@@ -78,7 +69,19 @@ def _floor(mount, pairs):
     l11 = jnp.sqrt(xx)
     l21 = xy / l11
     (ax, ay), (bx, by) = ((points[:, k, :, 0], points[:, k, :, 1]) for k in (0, 1))
-    return _Floor(ax, ay, bx, by, l11, l21, jnp.sqrt(yy - l21 * l21))
+    return _Floor(ax, ay, bx, by, l11, l21, jnp.sqrt(yy - l21 * l21), rays.there.all(1))
+
+
+def _rays(numbers: Numbers, pairs: FloorPairs) -> Rays:
+    return rays_of_pixels(with_numbers(pairs.camera, numbers), pairs.pixels, pairs.slopes)
+
+
+_rays_once = jax.jit(_rays)
+
+
+def _rays_if_kept(numbers: Numbers, free: Int[np.ndarray, " V"], pairs: FloorPairs) -> Rays | None:
+    """The rays of all pixels, once for all steps where only the mount moves."""
+    return _rays_once(jnp.asarray(numbers), pairs) if (free < MOUNT.stop).all() else None
 
 
 def _residuals(floor, motion):
@@ -87,12 +90,13 @@ def _residuals(floor, motion):
     across, along = s * floor.bx + c * floor.by, c * floor.bx - s * floor.by
     one, zero = jnp.ones_like(along), jnp.zeros_like(along)
 
-    def whitened(rx, ry):
+    def whitened(rx, ry, lost=0.0):
         first = rx / floor.l11
-        return jnp.stack([first, (ry - floor.l21 * first) / floor.l22])
+        second = (ry - floor.l21 * first) / floor.l22
+        return jnp.where(floor.there, jnp.stack([first, second]), lost)
 
     slope = jnp.stack([whitened(one, zero), whitened(zero, one), whitened(-across, along)], -1)
-    return whitened(along + x - floor.ax, across + y - floor.ay), slope
+    return whitened(along + x - floor.ax, across + y - floor.ay, LOST), slope
 
 
 def _best_errors(floor, pairs, width):
@@ -117,10 +121,18 @@ def _best_errors(floor, pairs, width):
 
 @jax.jit
 def residuals(
-    mount: Mount, pairs: FloorPairs, width: float | Float[Array, ""]
+    numbers: Numbers, pairs: FloorPairs, width: float | Float[Array, ""], rays: Rays | None = None
 ) -> tuple[Float[Array, "2 P K"], Float[Array, "P 3"], Float[Array, "P K"]]:
-    """What is squared and summed: matches under the Cauchy kernel, odometry errors; and |r| before the kernel."""
-    floor = _floor(mount, pairs)
+    """What is squared and summed: matches under the Cauchy kernel, odometry errors; and |r| before the kernel.
+
+    Args:
+      numbers: of the camera.
+      pairs: matches.
+      width: of the kernel, standard deviations of a match.
+      rays: of the matches under these optics, where they are known already.
+    """
+    numbers = jnp.asarray(numbers)
+    floor = _floor(numbers[MOUNT], _rays(numbers, pairs) if rays is None else rays, pairs)
     errors = _best_errors(floor, pairs, width)
     r, _ = _residuals(floor, pairs.motion + jnp.sum(pairs.noise * errors[:, None, :], -1))
     s = jnp.sum(r * r, 0) / width**2
@@ -129,45 +141,65 @@ def residuals(
     return r * (jnp.sqrt(share) * pairs.valid)[None], errors, width * jnp.sqrt(s + 1e-12)
 
 
-@jax.jit
-def solve(
-    start: Mount, sigma: Float[Arrays, "6"], at: Mount, pairs: FloorPairs, width: float | Float[Array, ""]
-) -> Solved:
-    """Levenberg-Marquardt (optimistix) from the mount `at`.
+def solve(start: Numbers, sigma: Numbers, at: Numbers, pairs: FloorPairs, width: float) -> Solved:
+    """Levenberg-Marquardt (optimistix) from the numbers `at`.
 
     Args:
-      start: what is believed of the mount beforehand.
-      sigma: standard deviations of that belief; zero keeps a number as it is.
+      start: what is believed of the camera beforehand.
+      sigma: standard deviations of that belief; zero keeps a number as it is at the start.
       at: where to begin.
       pairs: matches.
       width: of the Cauchy kernel, standard deviations of a match.
     """
-    start, sigma = jnp.asarray(start), jnp.asarray(sigma)
-
-    def terms(y, _):
-        r, errors, distance = residuals(start + sigma * y, pairs, width)
-        return (r, errors, y), (distance, errors, jnp.sum(r**2) + jnp.sum(errors**2) + jnp.sum(y**2))
-
-    begin = jnp.where(sigma > 0, (jnp.asarray(at) - start) / jnp.where(sigma > 0, sigma, 1), 0)
-    solver: Any = optx.LevenbergMarquardt(rtol=1e-4, atol=1e-4)
-    found: optx.Solution = optx.least_squares(terms, solver, begin, has_aux=True, max_steps=MAX_STEPS, throw=False)
-    distance, errors, cost = found.aux
-    return Solved(start + sigma * found.value, cost, distance, errors)
+    free = np.flatnonzero(sigma)
+    rays = _rays_if_kept(start, free, pairs)
+    return _solve(jnp.asarray(start), jnp.asarray(sigma)[free], jnp.asarray(at)[free], free, pairs, width, rays)
 
 
 @jax.jit
-def curvature_sigma(
-    sigma: Float[Arrays, "6"], at: Mount, pairs: FloorPairs, width: float | Float[Array, ""]
-) -> Float[Array, "6"]:
-    """Standard deviations of the mount at the solution `at` by Gauss-Newton, the belief beforehand included.
+def _solve(
+    start: Float[Array, " N"],
+    sigma: Float[Array, " V"],
+    at: Float[Array, " V"],
+    free: Int[Arrays, " V"],
+    pairs: FloorPairs,
+    width: float | Float[Array, ""],
+    rays: Rays | None,
+) -> Solved:
+    def terms(y, _):
+        r, errors, distance = residuals(start.at[free].add(sigma * y), pairs, width, rays)
+        return (r, errors, y), (distance, errors, jnp.sum(r**2) + jnp.sum(errors**2) + jnp.sum(y**2))
+
+    begin = (at - start[free]) / sigma
+    solver: Any = optx.LevenbergMarquardt(rtol=1e-4, atol=1e-4)
+    found: optx.Solution = optx.least_squares(terms, solver, begin, has_aux=True, max_steps=MAX_STEPS, throw=False)
+    distance, errors, cost = found.aux
+    return Solved(start.at[free].add(sigma * found.value), cost, distance, errors)
+
+
+def curvature_sigma(sigma: Numbers, at: Numbers, pairs: FloorPairs, width: float) -> Float[np.ndarray, " N"]:
+    """Standard deviations of the numbers at the solution `at` by Gauss-Newton, the belief beforehand included.
 
     Every match counts as independent, so they are too small where the run says much; where it says nothing they are
     those of the belief.
     """
-    sigma = jnp.asarray(sigma)
+    free, found = np.flatnonzero(sigma), np.zeros(len(sigma))
+    rays = _rays_if_kept(at, free, pairs)
+    found[free] = _curvature_sigma(jnp.asarray(at), jnp.asarray(sigma)[free], free, pairs, width, rays)
+    return found
 
+
+@jax.jit
+def _curvature_sigma(
+    at: Float[Array, " N"],
+    sigma: Float[Array, " V"],
+    free: Int[Arrays, " V"],
+    pairs: FloorPairs,
+    width: float | Float[Array, ""],
+    rays: Rays | None,
+) -> Float[Array, " V"]:
     def terms(y):
-        r, errors, _ = residuals(jnp.asarray(at) + sigma * y, pairs, width)
+        r, errors, _ = residuals(at.at[free].add(sigma * y), pairs, width, rays)
         return jnp.concatenate([r.reshape(-1), errors.reshape(-1), y])
 
     jacobian = jax.jacfwd(terms)(jnp.zeros_like(sigma))
@@ -178,10 +210,14 @@ def curvature_sigma(
 def count_agreeing(
     mounts: Float[Arrays, "H 6"], pairs: FloorPairs, limit: float | Float[Array, ""]
 ) -> Float[Array, " H"]:
-    """How many matches coincide at every mount, softly: sum max(1 - r^T r / limit^2, 0), odometry taken as it is."""
+    """How many matches coincide at every mount, softly: sum max(1 - r^T r / limit^2, 0), odometry taken as it is.
+
+    The camera is the one that was believed but for its mount.
+    """
+    rays = rays_of_pixels(pairs.camera, pairs.pixels, pairs.slopes)
 
     def one(mount):
-        r, _ = _residuals(_floor(mount, pairs), pairs.motion)
+        r, _ = _residuals(_floor(mount, rays, pairs), pairs.motion)
         return jnp.sum(jnp.maximum(1 - jnp.sum(r * r, 0) / limit**2, 0) * pairs.valid)
 
     return jax.lax.map(one, jnp.asarray(mounts))

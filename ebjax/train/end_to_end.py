@@ -1,15 +1,15 @@
-"""The task `end_to_end`: the trajectory error itself tunes the camera's mounting and the aggregation.
+"""The task `end_to_end`: the trajectory error itself tunes the camera's mounting, its lens and the aggregation.
 
-On synthetic runs whose camera is not where it is believed, from an untuned vocabulary, Adam descends the ATE through
-the whole pipeline (`ebjax.slam.soft`): the homography alone, the aggregation alone, and both. The table tells what each
-brings on other runs. Retrieval is asked again before every step.
+On synthetic runs whose camera is not what it is believed, from an untuned vocabulary, Adam descends the ATE through
+the whole pipeline (`ebjax.slam.soft`): the homography alone, the aggregation alone, and both; the lens if asked. The
+table tells what each brings on other runs. Retrieval is asked again before every step.
 """
 
 import dataclasses
 import json
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -17,8 +17,11 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float
 
+from ebjax.floors.cameras import MODELS
 from ebjax.floors.surface import FamilyName
+from ebjax.geometry.camera import Camera
 from ebjax.geometry.mount import Mounting
+from ebjax.geometry.optics import Optics, unchanged
 from ebjax.io.atomic import whole_file
 from ebjax.slam.soft import Pairs, Parameters, Points, Softness, SoftRun, Words, ate_rmse_m, correct
 from ebjax.slam.soft_look import DIMENSION, rootsift_look
@@ -28,7 +31,16 @@ from ebjax.train.loop import SCORE, LoopConfig, Task, fit
 from ebjax.views.run_view import choose_floor
 
 BEST = "parameters.npz"
-TUNED = {"homography": ("camera",), "aggregation": ("words", "threshold"), "both": ("camera", "words", "threshold")}
+TUNED = {
+    "homography": ("camera",),
+    "aggregation": ("words", "threshold"),
+    "both": ("camera", "words", "threshold"),
+    "lens": ("lens",),
+    "all": ("camera", "lens", "words", "threshold"),
+}
+KINDS = {"mounting": "camera", "coefficients": "lens", "threshold": "threshold"}
+"""Of the parameters, by what their path says; all others are words."""
+Part = Literal["homography", "aggregation", "both", "lens", "all"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,12 +54,16 @@ class Config:
     held_out: tuple[FamilyName, ...] = ("slabs", "concrete", "wood")
     """Floors of the runs that tell."""
     world: WorldConfig = dataclasses.field(default_factory=WorldConfig)
+    parts: tuple[Part, ...] = ("homography", "aggregation", "both")
+    """What is tuned, one after the other, each from the start: lens and all need a camera with a lens."""
     pitch_deg: float = 3.0
     """What is wrong with the camera's pitch at first, degrees."""
     roll_deg: float = 1.0
     """... with its roll, degrees."""
     height_m: float = 0.05
     """... with its height, m."""
+    distortion_off: float = 0.0
+    """... with the first coefficient of its lens, as a share of it."""
     clusters: int = 16
     """Of the vocabulary."""
     candidates: int = 2
@@ -61,6 +77,8 @@ class Config:
     loop: LoopConfig = dataclasses.field(default_factory=lambda: LoopConfig(steps=30, validate_every=5))
     camera_rate: float = 0.01
     """Of Adam at first, rad and m; rates fall to nothing as a cosine."""
+    lens_rate: float = 0.01
+    """... for the coefficients of the lens."""
     words_rate: float = 0.01
     """... for centres, assignment and bias."""
     threshold_rate: float = 0.05
@@ -83,7 +101,12 @@ def mounting(pitch_deg: float | int, roll_deg: float | int, height_m: float | in
 
 def optimiser(config: Config, part: str) -> optax.GradientTransformation:
     """Adam, a rate for each kind of parameter, none for what is not tuned."""
-    rates = {"camera": config.camera_rate, "words": config.words_rate, "threshold": config.threshold_rate}
+    rates = {
+        "camera": config.camera_rate,
+        "lens": config.lens_rate,
+        "words": config.words_rate,
+        "threshold": config.threshold_rate,
+    }
     kinds: dict[Any, optax.GradientTransformation] = {
         kind: optax.adam(optax.cosine_decay_schedule(rate, config.loop.steps))
         if kind in TUNED[part]
@@ -93,8 +116,11 @@ def optimiser(config: Config, part: str) -> optax.GradientTransformation:
 
     def kind(path: Any, _: Any) -> str:
         name = jax.tree_util.keystr(path)
-        return "camera" if "mounting" in name else "threshold" if "threshold" in name else "words"
+        if "intrinsics" in name:
+            return "kept"
+        return next((kind for part, kind in KINDS.items() if part in name), "words")
 
+    kinds["kept"] = optax.set_to_zero()
     return optax.multi_transform(kinds, lambda parameters: jax.tree_util.tree_map_with_path(kind, parameters))
 
 
@@ -159,8 +185,10 @@ def tune(
 
 
 def _told(parameters: Parameters) -> dict[str, float]:
-    camera = parameters.mounting
-    return {
+    camera, lens = parameters.mounting, {}
+    if parameters.optics is not None and len(parameters.optics.coefficients):
+        lens = {"first_coefficient": float(parameters.optics.coefficients[0])}
+    return lens | {
         "pitch_deg": float(jnp.degrees(camera.pitch_rad)),
         "roll_deg": float(jnp.degrees(camera.roll_rad)),
         "height_m": float(camera.height_m),
@@ -186,18 +214,24 @@ def run(config: Config, out: Path, *, resume: bool) -> None:
       ValueError: a world or a camera that cannot be, or another training in `out`; names the key.
       OSError: `out` cannot be written.
     """
-    wrong = mounting(config.pitch_deg, config.roll_deg, config.height_m)
+    wrong, off = mounting(config.pitch_deg, config.roll_deg, config.height_m), config.distortion_off
+    check(config)
     runs = {
         name: [
-            load_run(corridor(config.world, family, config.seed + 1 + first + k), wrong, out / "runs")
+            load_run(corridor(config.world, family, config.seed + 1 + first + k), wrong, out / "runs", off)
             for k, family in enumerate(families)
         ]
         for name, first, families in (("training", 0, config.training), ("held out", 100, config.held_out))
     }
     floor = choose_floor(runs["training"][0].camera, config.metres_per_px)
     softness = Softness(floor, rootsift_look(config.metres_per_px), exact=False, rtol=1e-16)
-    start = Parameters(mounting(0, 0, 0), untuned(config.clusters, config.seed))
-    right = dataclasses.replace(start, mounting=mounting(-config.pitch_deg, -config.roll_deg, -config.height_m))
+    camera = runs["training"][0].camera
+    start = Parameters(mounting(0, 0, 0), untuned(config.clusters, config.seed), optics=unchanged(camera))
+    right = dataclasses.replace(
+        start,
+        mounting=mounting(-config.pitch_deg, -config.roll_deg, -config.height_m),
+        optics=corrected(camera, off),
+    )
 
     def measured(parameters: Parameters) -> dict[str, Any]:
         found = {name: errors_m(parameters, some, softness, config) for name, some in runs.items()}
@@ -205,7 +239,7 @@ def run(config: Config, out: Path, *, resume: bool) -> None:
 
     odometry = {name: [float(ate_rmse_m(jnp.asarray(r.chain.poses), r.truth)) for r in rs] for name, rs in runs.items()}
     rows = {"odometry": {"ate_rmse_m": odometry}, "before": measured(start)}
-    for part in TUNED:
+    for part in config.parts:
         print(f"tuning: {part}")
         rows[part] = measured(tune(part, start, runs["training"], softness, config, out / part, resume=resume))
     rows["true camera, untuned aggregation"] = measured(right)
@@ -215,6 +249,23 @@ def run(config: Config, out: Path, *, resume: bool) -> None:
     with whole_file(out / "table.md") as file:
         file.write("\n".join(lines) + "\n")
     print("\n".join(lines))
+
+
+def check(config: Config) -> None:
+    """Raises ValueError that names a key which asks for a lens where the camera has none."""
+    bends = MODELS[config.world.camera].distortion_model != "pinhole"
+    if not bends and (config.distortion_off or {"lens", "all"} & set(config.parts)):
+        key = "distortion_off" if config.distortion_off else "parts"
+        raise ValueError(f"{key} asks for a lens, but world.camera {config.world.camera} has none: set phone-raw")
+
+
+def corrected(camera: Camera, off: float) -> Optics:
+    """What undoes `off`, a share of the first coefficient, of a camera that is believed so."""
+    none = unchanged(camera)
+    if not len(none.coefficients):
+        return none
+    first = jnp.asarray(camera.lens.coefficients)[0]
+    return dataclasses.replace(none, coefficients=none.coefficients.at[0].set(-first * off / (1 + off)))
 
 
 def table(rows: dict[str, Any], config: Config) -> list[str]:
@@ -235,6 +286,8 @@ def table(rows: dict[str, Any], config: Config) -> list[str]:
             wrong = config.pitch_deg, config.roll_deg, config.height_m
             left = [a + b for a, b in zip(wrong, (told[k] for k in ("pitch_deg", "roll_deg", "height_m")), strict=True)]
             cells.append(f"{left[0]:+.2f}, {left[1]:+.2f}, {left[2]:+.3f}")
+            if (first := told.get("first_coefficient")) is not None:
+                cells[-1] += f"; first coefficient {first:+.3f}"
         else:
             cells.append("")
         lines.append("| " + " | ".join(cells) + " |")

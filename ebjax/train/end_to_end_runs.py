@@ -1,4 +1,4 @@
-"""The runs of the task `end_to_end`: corridors driven out and back, seen by a camera that is not where it is believed.
+"""The runs of the task `end_to_end`: corridors driven out and back, seen by a camera that is not what it is believed.
 
 Rendered once into a folder; what is there is used again as long as the world is the same.
 """
@@ -12,12 +12,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from ebjax.command import progress
-from ebjax.floors.cameras import CameraConfig
+from ebjax.floors.cameras import CameraConfig, ModelName
 from ebjax.floors.robot import RobotConfig
 from ebjax.floors.sequence import CorridorConfig, record
 from ebjax.floors.surface import FamilyName, FloorConfig
 from ebjax.geometry.camera import Camera
+from ebjax.geometry.lens import lens
 from ebjax.geometry.mount import Mounting, remounted
+from ebjax.geometry.optics import unchanged, with_optics
 from ebjax.io.atomic import whole_file
 from ebjax.models.luma import luma
 from ebjax.odometry.wheels import WheelErrors
@@ -38,6 +40,8 @@ class WorldConfig:
     """Between two frames of the turn, degrees."""
     drift: float = 2.0
     """Factor of the odometry's errors (`floors.robot`, drifting)."""
+    camera: ModelName = "p3dx-d435"
+    """On the robot; phone-raw and gopro-wide look through lenses that bend."""
     width_px: int = 320
     """Width of the images, px."""
     texel_m: float = 0.005
@@ -52,7 +56,7 @@ def corridor(world: WorldConfig, family: FamilyName, seed: int) -> CorridorConfi
         robot=RobotConfig(
             distance_m=world.distance_m, step_m=world.step_m, turn_step_deg=world.turn_step_deg, drift=world.drift
         ),
-        camera=CameraConfig(width=world.width_px),
+        camera=CameraConfig(model=world.camera, width=world.width_px),
     )
 
 
@@ -61,7 +65,7 @@ def _frames(config: CorridorConfig, file: Path) -> dict[str, np.ndarray]:
     if file.is_file():
         try:
             with open(file, "rb") as stored, np.load(stored) as kept:
-                if str(kept["world"]) == repr(config):
+                if str(kept["world"]) == repr(config) and "distortion" in kept.files:
                     return {name: kept[name] for name in kept.files}
         except (OSError, ValueError, KeyError, zipfile.BadZipFile):
             pass  # damaged: rendered anew
@@ -76,19 +80,22 @@ def _frames(config: CorridorConfig, file: Path) -> dict[str, np.ndarray]:
         "odom_from_base": planar(recorded.odom_from_base),
         "intrinsics": np.asarray(recorded.camera.intrinsics, np.float64),
         "base_from_camera": np.asarray(recorded.camera.base_from_camera, np.float64),
+        "distortion_model": np.asarray(recorded.camera.lens.model),
+        "distortion": np.asarray(recorded.camera.lens.coefficients, np.float64),
     }
     with whole_file(file, "wb") as opened:
         np.savez(opened, **found)  # type: ignore[arg-type]
     return found
 
 
-def load_run(config: CorridorConfig, wrong: Mounting, folder: Path) -> SoftRun:
-    """A run whose camera is believed to be off by `wrong`.
+def load_run(config: CorridorConfig, wrong: Mounting, folder: Path, distortion_off: float = 0.0) -> SoftRun:
+    """A run whose camera is believed to be off.
 
     Args:
       config: from `corridor`.
-      wrong: what is added to the true camera.
+      wrong: what is added to the true camera's mounting.
       folder: where rendered runs are kept.
+      distortion_off: added to the first coefficient of its lens, as a share of it.
 
     Raises:
       ValueError: a world that cannot be; names the key.
@@ -96,11 +103,15 @@ def load_run(config: CorridorConfig, wrong: Mounting, folder: Path) -> SoftRun:
     """
     found = _frames(config, folder / f"{config.floor.family}_{config.seed}.npz")
     height, width = found["images"].shape[1:]
-    true = Camera(jnp.asarray(found["intrinsics"]), jnp.asarray(found["base_from_camera"]), width, height)
+    bent = lens(str(found["distortion_model"]), found["distortion"].tolist())
+    true = Camera(jnp.asarray(found["intrinsics"]), jnp.asarray(found["base_from_camera"]), width, height, bent)
+    off = unchanged(true)
+    if len(bent.coefficients):
+        off = dataclasses.replace(off, coefficients=off.coefficients.at[0].set(distortion_off * bent.coefficients[0]))
     return SoftRun(
         jnp.asarray(found["images"][..., None], jnp.float32) / 255,
         jnp.asarray(found["times_s"]),
         chain_of(found["odom_from_base"], WheelErrors()),
-        remounted(true, wrong),
+        with_optics(remounted(true, wrong), off),
         jnp.asarray(found["world_from_base"][:, :2]),
     )

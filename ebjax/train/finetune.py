@@ -20,7 +20,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from ebjax.command import progress
 from ebjax.geometry.camera import camera_from
 from ebjax.io.atomic import whole_file
-from ebjax.io.sequence import BrokenFrame, read_sequence, require_odometry
+from ebjax.io.sequence import require_odometry
 from ebjax.models.eye import Eye
 from ebjax.models.floornet import FloorNet, fitted, open_floornet
 from ebjax.models.luma import luma
@@ -34,6 +34,7 @@ from ebjax.slam.pipeline import run as run_pipeline
 from ebjax.slam.world import planar
 from ebjax.train.floornet import WEIGHTS, Temperatures, Weights, objective, save_network
 from ebjax.train.loop import LoopConfig, Task, fit
+from ebjax.train.own_run import Frames, OwnRun, camera_source, open_run
 from ebjax.train.views import Pairs
 from ebjax.views.run_view import RunView, choose_floor, from_camera
 
@@ -44,11 +45,9 @@ NEAR_CLOSURE_M = 2.0
 
 
 @dataclasses.dataclass(frozen=True)
-class Config:
+class Config(OwnRun):
     """Trains floornet further on a run of one's own."""
 
-    sequence: Path | None = None
-    """Folder in TUM layout, as `ebjax.slam` reads it."""
     loop: LoopConfig = dataclasses.field(default_factory=lambda: LoopConfig(steps=200, validate_every=20, patience=4))
     start: Path | None = None
     """Weights to begin with; None: those that come with ebjax."""
@@ -194,23 +193,19 @@ def recall(
 
 def run(config: Config, out: Path, *, resume: bool) -> None:
     """Trains on a run; writes floornet.safetensors and finetune.json, and prints what was gained where."""
-    if config.sequence is None:
-        raise ValueError("sequence is not set: name a run with --sequence")
     if not 0 < config.held_out < 1:
         raise ValueError(f"held_out is {config.held_out}: needs a share between 0 and 1")
-    sequence = read_sequence(config.sequence)
-    file = sequence.camera
-    camera = camera_from(file)
-    view = from_camera(camera, choose_floor(camera, METRES_PER_PX))
-
-    def load(k: int):
-        try:
-            return sequence.rgb(k), sequence.depth(k) if sequence.has_depth else None
-        except BrokenFrame:
-            return None
+    sequence = open_run(config)
+    for note in sequence.notes:
+        print(note)
+    camera, frames = camera_from(sequence.camera), Frames(sequence)
+    try:
+        view = from_camera(camera, choose_floor(camera, METRES_PER_PX))
+    except ValueError as fault:
+        raise ValueError(f"{camera_source(config, sequence)}: {fault}") from None
 
     odometry = planar(require_odometry(sequence, "fine-tuning"))
-    result = run_pipeline(load, sequence.timestamps, odometry, camera, view, config.slam, progress)
+    result = run_pipeline(frames.both, sequence.timestamps, odometry, camera, view, config.slam, progress)
     lesson = taught(result, view, config.reach_m)
     apart_m = view.extent_m / 2  # places that overlap more would be each other's rivals
     border = np.quantile(lesson.along_m, 1 - config.held_out)
@@ -218,7 +213,7 @@ def run(config: Config, out: Path, *, resume: bool) -> None:
     hold = np.flatnonzero(lesson.along_m >= border)
     count = min(config.pairs, int(np.ptp(lesson.along_m[learn]) / apart_m)) if len(learn) else 0
     if count < 3 or len(hold) < 2:
-        raise ValueError(f"{config.sequence}: its accepted closures lie too close together to hold some floor out")
+        raise ValueError(f"{sequence.path}: its accepted closures lie too close together to hold some floor out")
     path, network = open_floornet(config.start)
     graph, *states = nnx.split(network, nnx.Param, ...)
     root = jax.random.key(config.seed)
@@ -236,7 +231,8 @@ def run(config: Config, out: Path, *, resume: bool) -> None:
     def export(state, metrics, out):
         save_network(nnx.merge(graph, state["params"], state["rest"]), metrics, out / WEIGHTS)
 
-    settings = {"sequence": str(config.sequence), "start": str(path), "rate": config.rate, "seed": config.seed}
+    named = {"sequence": str(config.sequence), "camera": str(config.camera), "start": str(path)}
+    settings = {**named, "rate": config.rate, "seed": config.seed}
     state = {"params": states[0], "rest": states[1], "optimiser": _optimiser(config).init(states[0])}
     export(state, {"step": 0}, out)
     fit(Task(state, step, validate, export, settings), config.loop, out, resume=resume)
@@ -244,8 +240,8 @@ def run(config: Config, out: Path, *, resume: bool) -> None:
     known = sequence.world_from_base
     truth = lesson.poses if known is None else planar(known)[result.keyframes]
     asked = np.isin(np.arange(len(lesson.poses)), lesson.later[hold])
-    named = {"before": open_floornet(config.start)[1], "after": open_floornet(out / WEIGHTS)[1]}
-    rows = {name: recall(one, result, truth, view, asked) for name, one in named.items()}
+    networks = {"before": open_floornet(config.start)[1], "after": open_floornet(out / WEIGHTS)[1]}
+    rows = {name: recall(one, result, truth, view, asked) for name, one in networks.items()}
     by = "the corrected path" if known is None else "ground truth"
     print(f"held-out floor, {int(asked.sum())} views, right by {by}:")
     for name, row in rows.items():

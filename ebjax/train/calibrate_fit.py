@@ -1,26 +1,23 @@
-"""From coarse to fine: how a camera is mounted, from the floor it sees under way and from odometry.
+"""From coarse to fine: a camera's mount, and its optics if asked, from the floor it sees under way and from odometry.
 
 The floor is looked at through the camera as it is believed to be, and matched between frames some decimetres apart; of
-a grid of mounts the one is taken under which most matches coincide; least squares refines it; then the floor is looked
-at anew through the result.
+a grid of mounts the one is taken under which most matches coincide; least squares refines it, and the optics with it;
+then the floor is looked at anew through the result.
 """
 
 import dataclasses
 import itertools
 from collections.abc import Callable
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from ebjax.geometry.camera import Camera
-from ebjax.geometry.homography import apply as apply_homography
-from ebjax.geometry.mount import base_from_mounted_camera
-from ebjax.geometry.mount_numbers import mount_of
 from ebjax.odometry.wheels import WheelErrors
+from ebjax.train.calibrate_camera import MOUNT, numbers_of, with_numbers
 from ebjax.train.calibrate_pairs import FloorPairs, Load, choose_pairs, match_pairs
-from ebjax.train.calibrate_solve import Solved, count_agreeing, curvature_sigma, on_floor, residuals, solve
+from ebjax.train.calibrate_solve import Solved, count_agreeing, curvature_sigma, residuals, solve
 from ebjax.views.run_view import choose_floor, from_camera
 
 WIDTHS = ((10.0, 4.0), (3.0, 2.0), (2.0,))
@@ -38,29 +35,24 @@ MIN_PAIRS = 8
 FOLDS = 8
 
 
-def remounted(camera: Camera, mount: Float[np.ndarray, "6"]) -> Camera:
-    """The camera, mounted like this."""
-    return dataclasses.replace(camera, base_from_camera=base_from_mounted_camera(jnp.asarray(mount)))
-
-
 def calibrate(
     load: Load,
     odom_from_base: Float[np.ndarray, "F 3"],
     camera: Camera,
-    sigma: Float[np.ndarray, "6"],
+    sigma: Float[np.ndarray, " N"],
     odometry: WheelErrors,
     *,
     pairs: int,
     metres_per_px: float,
     progress: Callable = lambda items, total, label: iter(items),
 ) -> tuple[Solved, FloorPairs]:
-    """Finds the mount of a camera.
+    """Finds the numbers of a camera.
 
     Args:
       load: frame number -> RGB uint8, or None for a frame that cannot be read.
       odom_from_base: x, y (m), heading (rad) of every frame.
-      camera: as it is believed to be mounted.
-      sigma: standard deviations of that belief; zero keeps a number. Twice that of pitch, roll and height is searched.
+      camera: as it is believed to be.
+      sigma: standard deviations of its numbers; zero keeps one. Twice that of pitch, roll and height is searched.
       odometry: how it errs.
       pairs: of frames that are looked at, at most.
       metres_per_px: of the floor views, m.
@@ -72,10 +64,10 @@ def calibrate(
     Raises:
       ValueError: the camera sees no floor, there is too little motion, or too few views agree with it.
     """
-    start = mount = mount_of(np.asarray(camera.base_from_camera, np.float64))
+    start = numbers = numbers_of(camera)
     frames = None
     for look, widths in enumerate(WIDTHS):
-        through = remounted(camera, mount)
+        through = with_numbers(camera, numbers)
         floor = choose_floor(through, metres_per_px)
         view = from_camera(through, floor)
         if frames is None:
@@ -85,79 +77,70 @@ def calibrate(
                     f"{len(frames[0])} pairs of frames that overlap with some motion between them; at least "
                     f"{MIN_PAIRS} are needed: record some metres, a frame every quarter of a metre or 15 degrees"
                 )
-        matches = match_pairs(load, *frames, odom_from_base, through, view, odometry, progress)
+        matches = match_pairs(load, *frames, odom_from_base, camera, through, view, odometry, progress)
         if look == 0:
-            mount = search(matches, start, sigma)
+            numbers = search(matches, start, sigma)
         for width in widths:
-            kept = agreeing(matches, mount, width)
-            found = solve(start, sigma, mount, kept, width)
-            mount = np.asarray(found.mount)
+            kept = agreeing(matches, numbers, width)
+            found = solve(start, sigma, numbers, kept, width)
+            numbers = np.asarray(found.numbers)
     return found, kept
 
 
-def search(pairs: FloorPairs, start: Float[np.ndarray, "6"], sigma: Float[np.ndarray, "6"]) -> Float[np.ndarray, "6"]:
-    """The mount of a grid over pitch, roll and height around the start under which most matches coincide.
+def search(
+    pairs: FloorPairs, start: Float[np.ndarray, " N"], sigma: Float[np.ndarray, " N"]
+) -> Float[np.ndarray, " N"]:
+    """The start with the pitch, roll and height of a grid around it under which most matches coincide.
 
     Raises:
       ValueError: too few do under any.
     """
-    axes = [np.array([value]) for value in start]
+    axes = [np.array([value]) for value in start[MOUNT]]
     for k, step in zip((0, 1, 3), SEARCH_STEP, strict=True):
         step = step * (start[k] if k == 3 else 1)
         reach = round(SEARCH_SIGMAS * sigma[k] / step)
         axes[k] = start[k] + step * np.arange(-reach, reach + 1)
     grid = np.array(list(itertools.product(*axes)))
     rows = np.unique(np.linspace(0, len(pairs.motion) - 1, SEARCH_PAIRS).round().astype(int))
-    some = jax.tree.map(lambda leaf: leaf[rows], pairs)
+    some = pairs.some(rows)
     shares = np.asarray(count_agreeing(grid, some, SEARCH_LIMIT) / jnp.maximum(some.valid.sum(), 1))
     if shares.max() < MIN_SHARE:
         raise ValueError(
             f"{shares.max():.0%} of the matches of floor views agree with odometry, at least {MIN_SHARE:.0%} must: "
-            "check odometry.txt, fx, fy and T_base_camera, or search farther (pitch_sigma_deg, height_sigma)"
+            "check the odometry, the camera's fx, fy, lens and mount, or search farther (--pitch-sigma-deg, "
+            "--roll-sigma-deg, --height-sigma)"
         )
-    return grid[int(np.argmax(shares))]
+    return np.concatenate([grid[int(np.argmax(shares))], start[MOUNT.stop :]])
 
 
-def agreeing(pairs: FloorPairs, mount: Float[np.ndarray, "6"], width: float) -> FloorPairs:
+def agreeing(pairs: FloorPairs, numbers: Float[np.ndarray, " N"], width: float) -> FloorPairs:
     """Drops the matches that lie three widths off, and the pairs that few others are left of.
 
     Raises:
       ValueError: hardly any pair is left.
     """
-    valid = np.asarray(pairs.valid) * (np.asarray(residuals(mount, pairs, width)[2]) < 3 * width)
+    valid = np.asarray(pairs.valid) * (np.asarray(residuals(numbers, pairs, width)[2]) < 3 * width)
     enough = valid.sum(1) >= MIN_MATCHES
     if enough.sum() < MIN_PAIRS:
         raise ValueError(
             f"{enough.sum()} of {len(valid)} pairs of floor views have {MIN_MATCHES} matches that agree, at least "
             f"{MIN_PAIRS} must: record more of the floor, in better light"
         )
-    return dataclasses.replace(pairs, valid=jnp.asarray(valid * enough[:, None], pairs.rays.dtype))
+    return dataclasses.replace(pairs, valid=jnp.asarray(valid * enough[:, None], pairs.pixels.dtype))
 
 
 def deviations(
-    found: Solved, pairs: FloorPairs, start: Float[np.ndarray, "6"], sigma: Float[np.ndarray, "6"]
-) -> Float[np.ndarray, "6"]:
-    """Standard deviations of the mount: by a jackknife over stretches of the run or by the curvature, the larger ones.
+    found: Solved, pairs: FloorPairs, start: Float[np.ndarray, " N"], sigma: Float[np.ndarray, " N"]
+) -> Float[np.ndarray, " N"]:
+    """Standard deviations of the numbers: by a jackknife over stretches of the run or by the curvature, the larger.
 
     Matches of neighbouring pairs share frames and errors of odometry, which only the jackknife sees; where the run
     tells nothing, only the curvature does. Neither sees an odometry that is wrong all the time, by its scale, say.
     """
     width = WIDTHS[-1][-1]
-    mounts = []
+    without = []
     for stretch in np.array_split(np.flatnonzero(np.asarray(pairs.valid).any(1)), FOLDS):
         others = dataclasses.replace(pairs, valid=jnp.asarray(pairs.valid).at[stretch].set(0))
-        mounts.append(np.asarray(solve(start, sigma, found.mount, others, width).mount))
-    jackknife = np.sqrt((FOLDS - 1) * np.var(mounts, axis=0))
-    return np.maximum(jackknife, np.asarray(curvature_sigma(sigma, found.mount, pairs, width)))
-
-
-def floor_distance_m(
-    a: Float[np.ndarray, "6"], b: Float[np.ndarray, "6"], camera: Camera, metres_per_px: float
-) -> float:
-    """Mean distance of the floor points that two mounts give the pixels of a camera's floor view, m."""
-    view = from_camera(camera, choose_floor(camera, metres_per_px))
-    rows, columns = np.nonzero(np.asarray(view.seen))
-    pixels = apply_homography(view.image_from_view, np.stack([columns, rows], 1).astype(np.float64))
-    rays = jnp.concatenate([pixels, jnp.ones_like(pixels[:, :1])], 1) @ jnp.linalg.inv(camera.intrinsics).T
-    first, second = (on_floor(mount, rays, jnp.zeros((*rays.shape, 2), rays.dtype))[0] for mount in (a, b))
-    return float(jnp.linalg.norm(first - second, axis=1).mean())
+        without.append(np.asarray(solve(start, sigma, found.numbers, others, width).numbers))
+    jackknife = np.sqrt((FOLDS - 1) * np.var(without, axis=0))
+    return np.maximum(jackknife, curvature_sigma(sigma, found.numbers, pairs, width))
