@@ -22,7 +22,9 @@ from ebjax.features.table import Pair, as_json, compare_inputs, compare_pairs, m
 from ebjax.geometry.camera import Camera, FloorView, camera_from
 from ebjax.io.atomic import whole_file, whole_folder
 from ebjax.io.cache import open_cache
-from ebjax.io.images import read_both, read_depths, read_image
+from ebjax.io.depth_images import read_depths
+from ebjax.io.image_sizes import orientation_notes, sizes_of
+from ebjax.io.images import read_both, read_image
 from ebjax.io.logs.camera import camera_in
 from ebjax.io.logs.mount_options import MountOptions
 from ebjax.io.pairs import read_pairs
@@ -144,17 +146,17 @@ def check(config: Config) -> None:
 def main(config: Config) -> None:
     """Reads, matches, prints the table, writes."""
     check(config)
-    image_a, image_b = read_both(config.a, config.b)
+    camera_file = None if config.camera is None else camera_in(config.camera, sizes_of(config.a), config.mount)
+    size = None if camera_file is None else (camera_file.width, camera_file.height)
+    image_a, image_b = read_both(config.a, config.b, size)
     height, width = image_a.shape[:2]
-    camera_file = None if config.camera is None else camera_in(config.camera, (width, height), config.mount)
+    print("".join(f"{note}\n" for note in orientation_notes(config.a, (width, height))), end="")
     quad = None if config.quad is None else checked_quad(config.quad, width, height)
     depths = None
     if config.depth_a is not None and config.depth_b is not None and camera_file is not None:
         depths = read_depths(config.depth_a, config.depth_b, camera_file)
 
-    camera = None
-    if camera_file is not None:
-        camera = camera_from(camera_file)
+    camera = None if camera_file is None else camera_from(camera_file)
     views = make_views(config, camera, quad, width, height)
     if config.extractor == "all":
         extractors, absent = usable(tuple(EXTRACTORS), config.weights, config.arithmetic)

@@ -77,19 +77,24 @@ def with_depth(features: ImageFeatures, depth_m: Float[np.ndarray, "H W"] | None
 def levelled(features: ImageFeatures, camera: Camera, level_from_base: Float[np.ndarray, "4 4"]) -> ImageFeatures:
     """The corners where the camera of an upright robot would see them.
 
-    Corners without depth are taken as far away: leaning by a degree moves the camera by a centimetre.
+    Leaning by a degree moves the camera by a centimetre: corners without depth are taken as far away as the floor is
+    along their rays, which is as far as they can be, or as infinitely far above the horizon.
     """
     level_from_camera = np.asarray(camera.base_from_camera, np.float64)
-    seen_from_level = np.linalg.inv(level_from_camera) @ level_from_base @ level_from_camera
+    leant = level_from_base @ level_from_camera
+    seen_from_level = np.linalg.inv(level_from_camera) @ leant
     intrinsics = np.asarray(camera.intrinsics, np.float64)
     rays = np.column_stack([features.keypoints, np.ones(len(features))]) @ np.linalg.inv(intrinsics).T
-    turned = rays @ seen_from_level[:3, :3].T
     known = np.zeros(len(features), bool) if features.depth_m is None else features.depth_m > 0
+    down = -(rays @ leant[2, :3])
+    nearness = np.maximum(down, 0.0) / leant[2, 3]
     if features.depth_m is not None:
-        depth = np.where(known, features.depth_m, 1.0)[:, None]
-        turned = np.where(known[:, None], turned * depth + seen_from_level[:3, 3], turned)
+        nearness = np.where(known, 1 / np.where(known, features.depth_m, 1.0), nearness)
+    turned = rays @ seen_from_level[:3, :3].T + nearness[:, None] * seen_from_level[:3, 3]
     kept = np.flatnonzero(turned[:, 2] > AHEAD)
-    turned, known = turned[kept], known[kept]
+    turned, known, nearness = turned[kept], known[kept], nearness[kept]
     pixels = (turned / turned[:, 2:]) @ intrinsics.T
-    depth_m = None if features.depth_m is None else np.where(known, turned[:, 2], 0.0)
+    depth_m = None
+    if features.depth_m is not None:
+        depth_m = np.where(known, turned[:, 2] / np.where(known, nearness, 1.0), 0.0)
     return _rows(features, kept, keypoints=pixels[:, :2], depth_m=depth_m)

@@ -18,7 +18,8 @@ from ebjax.geometry.warp import Taps
 from ebjax.io.atomic import whole_file
 from ebjax.io.cache import Cache, content_key, digest, open_cache
 from ebjax.io.image_folder import list_images, read_truth
-from ebjax.io.images import BrokenFrame, read_image
+from ebjax.io.image_sizes import orientation_notes, sizes_of
+from ebjax.io.images import BrokenFrame, read_fitting
 from ebjax.io.logs.camera import camera_in
 from ebjax.io.logs.mount_options import MountOptions
 from ebjax.models.fast import Arithmetic
@@ -102,14 +103,16 @@ class Looker:
           ValueError: it has another size than the camera or the first image.
         """
         if self.samples is None:
-            height, width, _ = read_image(path).shape
-            self._prepare((width, height))
+            self._prepare(sizes_of(path))
+            assert self.size is not None
+            for note in orientation_notes(path, self.size):
+                print(note)
         if self.cache is None:
             return self._describe(path)
         return dict(self.cache.recall(content_key(path), lambda: self._describe(path)))
 
     def _describe(self, path: Path) -> dict[str, np.ndarray]:
-        image = read_image(path)
+        image = read_fitting(path, self.size)
         size = image.shape[1], image.shape[0]
         if size != self.size and not self.config.raw:
             assert self.size is not None
@@ -121,8 +124,8 @@ class Looker:
         view = _view(image, samples)
         return jax.tree.map(np.asarray, dict(self._look(view, self.seen, image)))
 
-    def _prepare(self, size: tuple[int, int]) -> None:
-        self._choose_view(size)
+    def _prepare(self, sizes: tuple[tuple[int, int], ...]) -> None:
+        self._choose_view(sizes)
         if self.config.cache is not None:
             assert self.samples is not None
             arrays = (np.asarray(leaf) for leaf in (*jax.tree.leaves(self.samples), self.seen))
@@ -135,14 +138,15 @@ class Looker:
                 side_px=self.descriptor.side_px,
             )
 
-    def _choose_view(self, size: tuple[int, int]) -> None:
-        side = self.descriptor.side_px
+    def _choose_view(self, sizes: tuple[tuple[int, int], ...]) -> None:
+        side, size = self.descriptor.side_px, sizes[0]
         if self.config.raw:
             scale = side / max(size)
             self.seen = jnp.ones((round(size[1] * scale), round(size[0] * scale)), bool)
             self.size, self.samples = size, whole_image(size, self.seen.shape)
         elif self.config.camera is not None:
-            self.size, file = size, camera_in(self.config.camera, size, self.config.mount)
+            file = camera_in(self.config.camera, sizes, self.config.mount)
+            self.size = file.width, file.height
             try:
                 self.samples, self.seen = camera_view(camera_from(file), self.config.metres_per_px)
             except ValueError as fault:
