@@ -29,6 +29,9 @@ def _bag(folder: Path, kind: str) -> Path:
             bag.compressed("/other/depth/compressedDepth", time, packed, "16UC1; compressedDepth rvl", frame="other")
             bag.tf(time, ("odom", "base_link", (k, 0, 0), (1, 0, 0, 0)))
             bag.pose_stamped("/truth", time, (k, 0.0, 0.0))
+        bag.tf(1000, ("base_link", "imu_link", (0, 0, 0.1), (1, 0, 0, 0)), static=True)
+        for k in range(8):
+            bag.imu("/imu/data", 1000 + 0.1 * k, (np.cos(0.01 * k), 0, np.sin(0.01 * k), 0))
     return bag.path
 
 

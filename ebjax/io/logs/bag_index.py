@@ -13,7 +13,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Int64
 
-from ebjax.io.one_line import one_line
+from ebjax.io.one_line import one_line, printable
 
 EXTRA = 'pip install "ebjax[bags]"'
 ZSTD = b"\x28\xb5\x2f\xfd"
@@ -86,7 +86,7 @@ class BagFile(Protocol):
 
 def channel_from(topic: str, kind: str, encoding: str) -> Channel:
     """Writes a topic and a type in one way: "/camera/image", "sensor_msgs/Image"."""
-    return Channel(topic_name(topic), kind.replace("/msg/", "/"), encoding)
+    return Channel(topic_name(printable(topic)), printable(kind).replace("/msg/", "/"), encoding)
 
 
 def topic_name(topic: str) -> str:

@@ -6,6 +6,8 @@ Their layouts have never changed, so that no message definition is needed; other
 import struct
 from dataclasses import dataclass
 
+from ebjax.io.one_line import printable
+
 IMAGE, COMPRESSED = "sensor_msgs/Image", "sensor_msgs/CompressedImage"
 CAMERA_INFO, ODOMETRY = "sensor_msgs/CameraInfo", "nav_msgs/Odometry"
 TRANSFORM, IMU = "geometry_msgs/TransformStamped", "sensor_msgs/Imu"
@@ -53,7 +55,7 @@ class Cursor:
         start, self.position = self.position, self.position + size
         if self.position > len(self.content):
             raise ValueError("a truncated message")
-        return self.content[start : self.position].rstrip(b"\0").decode("utf-8", "replace")
+        return printable(self.content[start : self.position].rstrip(b"\0").decode("utf-8", "replace"))
 
 
 @dataclass(frozen=True)

@@ -160,3 +160,10 @@ def test_an_error_of_sqlite_is_one_line(tmp_path):
     with pytest.raises(ValueError, match=r"a\.db: a damaged database .malformed database schema") as error:
         open_log(path)
     assert len(str(error.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize("name", ["/odd\b\x19name", "/two\nlines", "/a\u2028b"])
+def test_names_of_topics_are_printed_in_one_line(db3, name):
+    change(db3, "UPDATE topics SET name = ? WHERE name = '/odom'", name)
+    log = open_log(db3)
+    assert all(line.isprintable() for line in (*log.contents, *log.notes))
