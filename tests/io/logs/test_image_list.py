@@ -22,7 +22,7 @@ def listed(tmp_path, text, name="rgb.txt"):
         "1.5\trgb/a.png\n\n2.25\trgb/b 1.png",
         '"timestamp","file"\n"1.5","rgb/a.png"\n"2.25","rgb/b 1.png"\n',
         b"\xef\xbb\xbf1.5 rgb/a.png\n2.25 rgb/b 1.png\n",
-        gzip.compress(b"1.5 rgb/a.png\n2.25 rgb/b 1.png\n"),
+        gzip.compress(b"1.5 rgb/a.png\n2.25 rgb/b 1.png\n", mtime=0),
         "1,5 rgb/a.png\n2,25 rgb/b 1.png\n",
     ],
     ids=["tum", "csv", "semicolons", "tabs", "quotes", "mark", "gzip", "decimal commas"],
