@@ -2,8 +2,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from ebjax.geometry.camera import FloorView, camera_over_floor
+from ebjax.geometry.camera import Camera, FloorView, camera_over_floor
 from ebjax.geometry.homography import apply
+from ebjax.views.floor_view import floor_view, view_taps
 from ebjax.views.run_view import choose_floor, from_camera, from_quad
 
 
@@ -37,6 +38,29 @@ def test_the_chosen_floor_is_seen(setup):
 def test_a_camera_that_sees_no_floor_is_refused(setup):
     with pytest.raises(ValueError, match="T_base_camera"):
         choose_floor(camera(**setup), 0.01)
+
+
+@pytest.mark.parametrize("quarters", [1, 2, 3])
+@pytest.mark.parametrize("setup", [{}, {"height_m": 1.2, "pitch_deg": 35.0, "focal": 382.0}])
+def test_a_camera_on_its_side_or_head_sees_the_same_floor(setup, quarters):
+    upright = camera(**setup)
+    rgb = np.random.default_rng(0).integers(0, 255, (480, 640, 3), dtype=np.uint8)
+    intrinsics, pose, size = np.asarray(upright.intrinsics), np.asarray(upright.base_from_camera), (640, 480)
+    for _ in range(quarters):  # as np.rot90 turns pixels: (x, y) -> (y, width - 1 - x)
+        rgb = np.rot90(rgb).copy()
+        fx, fy, cx, cy = intrinsics[0, 0], intrinsics[1, 1], intrinsics[0, 2], intrinsics[1, 2]
+        intrinsics = np.array([[fy, 0, cy], [0, fx, size[0] - 1 - cx], [0, 0, 1]])
+        turn = np.eye(4)
+        turn[:2, :2] = [[0, -1], [1, 0]]
+        pose, size = pose @ turn, size[::-1]
+    turned = Camera(jnp.asarray(intrinsics), jnp.asarray(pose), *size)
+    chosen = choose_floor(upright, 0.01)
+    assert choose_floor(turned, 0.01) == chosen
+    views = [
+        floor_view(jnp.asarray(picture), view_taps(from_camera(one, chosen), one))
+        for picture, one in ((np.rot90(rgb, -quarters).copy(), upright), (rgb, turned))
+    ]
+    np.testing.assert_allclose(views[0], views[1], atol=0.02)
 
 
 def test_a_quad_of_a_metric_rectangle_is_the_metric_view():
