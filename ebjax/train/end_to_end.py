@@ -186,7 +186,7 @@ def tune(
 
 def _told(parameters: Parameters) -> dict[str, float]:
     camera, lens = parameters.mounting, {}
-    if parameters.optics is not None and len(parameters.optics.coefficients):
+    if parameters.optics is not None:
         lens = {"first_coefficient": float(parameters.optics.coefficients[0])}
     return lens | {
         "pitch_deg": float(jnp.degrees(camera.pitch_rad)),
@@ -226,11 +226,13 @@ def run(config: Config, out: Path, *, resume: bool) -> None:
     floor = choose_floor(runs["training"][0].camera, config.metres_per_px)
     softness = Softness(floor, rootsift_look(config.metres_per_px), exact=False, rtol=1e-16)
     camera = runs["training"][0].camera
-    start = Parameters(mounting(0, 0, 0), untuned(config.clusters, config.seed), optics=unchanged(camera))
+    bends = camera.lens.model != "pinhole"
+    optics = unchanged(camera) if bends else None
+    start = Parameters(mounting(0, 0, 0), untuned(config.clusters, config.seed), optics=optics)
     right = dataclasses.replace(
         start,
         mounting=mounting(-config.pitch_deg, -config.roll_deg, -config.height_m),
-        optics=corrected(camera, off),
+        optics=corrected(camera, off) if bends else None,
     )
 
     def measured(parameters: Parameters) -> dict[str, Any]:
@@ -262,8 +264,6 @@ def check(config: Config) -> None:
 def corrected(camera: Camera, off: float) -> Optics:
     """What undoes `off`, a share of the first coefficient, of a camera that is believed so."""
     none = unchanged(camera)
-    if not len(none.coefficients):
-        return none
     first = jnp.asarray(camera.lens.coefficients)[0]
     return dataclasses.replace(none, coefficients=none.coefficients.at[0].set(-first * off / (1 + off)))
 

@@ -55,9 +55,8 @@ def test_a_claim_of_the_wrong_direction_is_wrong(small_run):
 def test_bad_input(small_run, tmp_path, capsys):
     twin = tmp_path / "blotches"
     shutil.copytree(small_run, twin)
-    (tmp_path / "untrue").mkdir()
-    for name in ("rgb.txt", "camera.json", "odometry.txt"):
-        shutil.copy(small_run / name, tmp_path / "untrue")
+    shutil.copytree(small_run, tmp_path / "untrue")
+    (tmp_path / "untrue" / "groundtruth.txt").unlink()
     for flags, words in (
         ([str(small_run), str(twin)], "same name"),
         ([str(small_run), "--descriptors", "joint"], "joint"),
