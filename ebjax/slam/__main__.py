@@ -124,7 +124,7 @@ def main(config: Config) -> None:
         camera = camera_by_depth(sequence, frames, camera)
     for note in (*remarks, *sequence.notes):
         print(note)
-    ignored = ignored_pixels(config.mask, sequence, frames)
+    ignored = ignored_pixels(config.mask, sequence)
     looking = partial(run_view, config, ignored)
     try:
         looking(camera)
@@ -146,7 +146,7 @@ def main(config: Config) -> None:
         with contextlib.ExitStack() as at_end:
             known = remembering(config, at_end)
             result = run_pipeline(
-                frames.load,
+                frames.both,
                 sequence.timestamps,
                 odometry,
                 camera,
@@ -172,7 +172,7 @@ def main(config: Config) -> None:
     metrics["seconds"]["total"] = round(time.perf_counter() - started, 3)
     metrics["peak_memory_mb"] = round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, 1)
     with whole_folder(config.out) as folder:
-        write_run(folder, sequence, frames.load, result, metrics, config.map_metres_per_px)
+        write_run(folder, sequence, frames.both, result, metrics, config.map_metres_per_px)
         copied = write_rtabmap_copy(folder, config.out, sequence, result)
         dump_config(config, folder / "config.yaml")
     print("\n".join(summary_lines(metrics)))
@@ -196,7 +196,7 @@ def run_view(config: Config, ignored: np.ndarray | None, camera: Camera) -> RunV
     return view if ignored is None else without(view, camera, ignored)
 
 
-def ignored_pixels(mask: Literal["auto", "none"] | Path, sequence: Sequence, frames: Frames) -> np.ndarray | None:
+def ignored_pixels(mask: Literal["auto", "none"] | Path, sequence: Sequence) -> np.ndarray | None:
     """Pixels of the image that are no world: by a file, or found over the run (auto); None where there are none."""
     size = sequence.camera.width, sequence.camera.height
     if mask == "none":
@@ -213,7 +213,7 @@ def ignored_pixels(mask: Literal["auto", "none"] | Path, sequence: Sequence, fra
     if sequence.odom_from_base is not None:
         step = np.diff(planar(sequence.odom_from_base), axis=0)
         way = np.concatenate([[0.0], np.cumsum(np.hypot(step[:, 0], step[:, 1]) + np.abs(step[:, 2]))])
-    images = [images[0] for images in map(frames.load_rgb, spread(way).tolist()) if images is not None]
+    images = [image for image in map(Frames(sequence).rgb, spread(way).tolist()) if image is not None]
     if not images:
         return None
     found = static_pixels(images)
@@ -242,7 +242,7 @@ def camera_by_depth(sequence: Sequence, frames: Frames, camera: Camera) -> Camer
     if not sequence.has_depth:
         raise ValueError(f"{sequence.path}: --floor depth needs a log with depth, and --depth sequence")
     chosen = spread_rows(np.arange(len(sequence)), 9)
-    depths = [images[1] for images in map(frames.load, chosen.tolist()) if images is not None and images[1] is not None]
+    depths = [images[1] for images in map(frames.both, chosen.tolist()) if images is not None and images[1] is not None]
     try:
         camera, height_m, pitch_deg, roll_deg = camera_from_depth(depths, camera)
     except ValueError as fault:

@@ -23,6 +23,7 @@ from ebjax.geometry.camera import Camera, camera_from
 from ebjax.geometry.mount_numbers import NAMES, mount_of
 from ebjax.io.atomic import whole_folder
 from ebjax.io.camera_file import CameraFile, write_camera
+from ebjax.io.frames import Frames
 from ebjax.io.sequence import Sequence, require_odometry
 from ebjax.odometry.wheels import WheelErrors
 from ebjax.slam.world import planar
@@ -38,7 +39,7 @@ from ebjax.train.calibrate_camera import (
 )
 from ebjax.train.calibrate_fit import calibrate
 from ebjax.train.calibrate_report import Tried, lines, report
-from ebjax.train.own_run import Frames, OwnRun, camera_source, log_flags, open_run
+from ebjax.train.own_run import OwnRun, camera_source, log_flags, open_run
 from ebjax.views.depth_floor import camera_from_depth
 from ebjax.views.run_view import choose_floor
 

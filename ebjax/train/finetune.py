@@ -20,6 +20,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from ebjax.command import progress
 from ebjax.geometry.camera import camera_from
 from ebjax.io.atomic import whole_file
+from ebjax.io.frames import Frames
 from ebjax.io.sequence import require_odometry
 from ebjax.models.eye import Eye
 from ebjax.models.floornet import FloorNet, fitted, open_floornet
@@ -34,7 +35,7 @@ from ebjax.slam.pipeline import run as run_pipeline
 from ebjax.slam.world import planar
 from ebjax.train.floornet import WEIGHTS, Temperatures, Weights, objective, save_network
 from ebjax.train.loop import LoopConfig, Task, fit
-from ebjax.train.own_run import Frames, OwnRun, camera_source, open_run
+from ebjax.train.own_run import OwnRun, camera_source, open_run
 from ebjax.train.views import Pairs
 from ebjax.views.run_view import RunView, choose_floor, from_camera
 

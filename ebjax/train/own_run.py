@@ -6,14 +6,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import numpy as np
 import tyro
 
 from ebjax.io.calibration.depth_scale import depth_scale_in
 from ebjax.io.logs.camera import camera_of
 from ebjax.io.logs.mount_options import MountOptions
 from ebjax.io.logs.open import LogOptions, open_log
-from ebjax.io.sequence import BrokenFrame, Sequence, read_sequence
+from ebjax.io.sequence import Sequence, read_sequence
 from ebjax.io.timed_poses import MAX_GAP_S
 
 
@@ -68,44 +67,6 @@ def open_run(options: OwnRun) -> Sequence:
 def camera_source(options: OwnRun, sequence: Sequence) -> str:
     """What the camera was read from, for messages."""
     return str(options.camera or sequence.log.camera_source)
-
-
-class Frames:
-    """The run's images, None for those that cannot be read; the faults are kept, by frame."""
-
-    def __init__(self, sequence: Sequence):
-        self.sequence = sequence
-        self.faults: dict[int, str] = {}
-
-    def rgb(self, k: int) -> np.ndarray | None:
-        """The image of frame k."""
-        return self._readable(k, self.sequence.rgb)
-
-    def depth(self, k: int) -> np.ndarray | None:
-        """The depth of frame k."""
-        return self._readable(k, self.sequence.depth)
-
-    def both(self, k: int) -> tuple[np.ndarray, np.ndarray | None] | None:
-        """The image and, where the run has depth, the depth of frame k, as `slam.pipeline` takes them."""
-        rgb = self.rgb(k)
-        if rgb is None or not self.sequence.has_depth:
-            return None if rgb is None else (rgb, None)
-        depth = self.depth(k)
-        return None if depth is None else (rgb, depth)
-
-    def told(self) -> str:
-        """One line on the frames that could not be read; empty where all could."""
-        if not self.faults:
-            return ""
-        first = next(iter(self.faults.values()))
-        return f"{len(self.faults)} frames could not be read, first {first}"
-
-    def _readable(self, k: int, read: Any) -> np.ndarray | None:
-        try:
-            return read(k)
-        except BrokenFrame as fault:
-            self.faults[k] = " ".join(str(fault).split())
-            return None
 
 
 def log_flags(options: OwnRun) -> str:

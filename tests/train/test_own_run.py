@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 
 from ebjax.io.camera_file import CameraFile, write_camera
+from ebjax.io.frames import Frames
 from ebjax.io.logs.mount_options import MountOptions
 from ebjax.io.logs.open import LogOptions, Topics
-from ebjax.train.own_run import Frames, OwnRun, log_flags, open_run
+from ebjax.train.own_run import OwnRun, log_flags, open_run
 
 LEVEL = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0.5], [0, 0, 0, 1]])
 

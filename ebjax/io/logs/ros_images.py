@@ -8,6 +8,7 @@ import numpy as np
 from ebjax.io.grey_levels import bits_for
 from ebjax.io.images import BrokenFrame
 from ebjax.io.logs.bag import Bag
+from ebjax.io.logs.image_survey import spread
 from ebjax.io.logs.log import Images
 from ebjax.io.logs.ros_collect import Collected
 from ebjax.io.logs.ros_image import brightest, compressed_from, raw_from
@@ -25,7 +26,7 @@ def bits_in_use(bag: Bag, channel: int) -> int | None:
     """How many bits the grey images of a topic use in common, by a dozen of them; None where they have 8."""
     rows, described = bag.rows(channel), bag.channels[channel]
     found = []
-    for row in rows[np.unique(np.linspace(0, len(rows) - 1, min(SAMPLED, len(rows))).round().astype(int))].tolist():
+    for row in rows[spread(len(rows), SAMPLED)].tolist():
         try:
             message = image_from(bag.read(row), described.encoding, described.type)
             found.append(brightest(message, described.type == COMPRESSED))
