@@ -6,11 +6,14 @@ bad input (one line on stderr; `EBJAX_DEBUG=1` shows the traceback), 130 for ctr
 
 import contextlib
 import dataclasses
+import functools
 import io
 import itertools
 import os
+import re
 import sys
 import tempfile
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -103,9 +106,13 @@ def setup_jax() -> None:
     """Switches on float64 and keeps compiled programs in the user's cache folder, so that the second run starts fast.
 
     The folder is $JAX_COMPILATION_CACHE_DIR, or ebjax in $XDG_CACHE_HOME or ~/.cache; one that cannot be written is
-    left out silently.
+    left out silently. A program that cannot be read from it is removed, and written anew.
     """
     import jax
+
+    if not isinstance(warnings.showwarning, functools.partial):
+        warnings.filterwarnings("always", message=_UNREADABLE.pattern)
+        warnings.showwarning = functools.partial(_mend_or_show, warnings.showwarning)
 
     jax.config.update("jax_enable_x64", True)
     # Two hundred small programs take longer to compile than to read.
@@ -121,6 +128,31 @@ def setup_jax() -> None:
     except (OSError, RuntimeError):
         return
     jax.config.update("jax_compilation_cache_dir", str(folder))
+
+
+_UNREADABLE = re.compile("Error reading persistent compilation cache entry for '([^']+)'")
+
+
+def _mend_or_show(show, message, *where, **more):
+    """Shows a warning, unless it says that a program cannot be read from the cache and that could be removed.
+
+    JAX writes an entry in place, so that a process killed meanwhile leaves a part of it, and JAX never writes over an
+    entry that is there. It warns before it compiles the program and writes it. The warning names the program, not the
+    entry, so all entries of that name go.
+    """
+    import jax
+
+    found = _UNREADABLE.match(str(message))
+    entries = (
+        Path(getattr(jax.config, "jax_compilation_cache_dir", None) or "").glob(f"{found[1]}-*-cache") if found else ()
+    )
+    removed = 0
+    with contextlib.suppress(OSError):
+        for entry in entries:
+            entry.unlink(missing_ok=True)
+            removed += 1
+    if not removed:
+        show(message, *where, **more)
 
 
 def progress(iterable: Iterable[Item], total: int | None = None, label: str = "") -> Iterator[Item]:

@@ -1,6 +1,9 @@
 """Every test runs in float64 with strict ranks; the shared data sets are found through EBJAX_DATA."""
 
 import os
+from collections import Counter
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import jax
@@ -32,3 +35,46 @@ def data():
         return path
 
     return find
+
+
+_COMPILED = "/jax/core/compile/backend_compile_duration"
+_HIT = "/jax/compilation_cache/cache_hits"
+
+
+@dataclass
+class Programs:
+    """`asked`: how often a program of a name was not there in this process; `hits`: of these, read from the cache."""
+
+    asked: Counter[str] = field(default_factory=Counter)
+    hits: int = 0
+
+    @property
+    def compiled(self) -> int:
+        """Programs compiled anew."""
+        return self.asked.total() - self.hits
+
+
+@contextmanager
+def _counted():
+    found = Programs()
+
+    def compiled(event, seconds, **what):
+        if event == _COMPILED:
+            found.asked[what.get("fun_name", "?")] += 1
+
+    def heard(event, **what):
+        found.hits += event == _HIT
+
+    jax.monitoring.register_event_duration_secs_listener(compiled)
+    jax.monitoring.register_event_listener(heard)
+    try:
+        yield found
+    finally:
+        jax.monitoring.unregister_event_duration_listener(compiled)
+        jax.monitoring.unregister_event_listener(heard)
+
+
+@pytest.fixture
+def counted():
+    """Returns a context manager: the programs that JAX compiles, or reads from its cache, inside; by its events."""
+    return _counted

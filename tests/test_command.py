@@ -1,9 +1,11 @@
 """The shared command line on a small command, the YAML reader, and the real commands' help."""
 
 import dataclasses
+import functools
 import os
 import subprocess
 import sys
+import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -13,7 +15,7 @@ import pytest
 import tyro
 
 from ebjax.__main__ import commands
-from ebjax.command import dump_config, parse, progress, run, setup_jax
+from ebjax.command import _mend_or_show, dump_config, parse, progress, run, setup_jax
 from ebjax.config import load_config
 
 
@@ -195,6 +197,64 @@ def test_jax_keeps_its_cache_with_the_user(tmp_path, monkeypatch, untouched_jax)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "other"))
     setup_jax()
     assert jax.config.jax_compilation_cache_dir == str(tmp_path / "cache" / "ebjax")
+
+
+@pytest.fixture
+def own_cache(tmp_path, untouched_jax):
+    from jax.experimental.compilation_cache import compilation_cache
+
+    jax.config.update("jax_compilation_cache_dir", str(tmp_path))
+    compilation_cache.reset_cache()
+    yield tmp_path
+    compilation_cache.reset_cache()
+
+
+@pytest.mark.parametrize(
+    "damaged",
+    [
+        lambda entry: entry[: len(entry) // 2],
+        lambda entry: entry[:-1],
+        lambda entry: b"",
+        lambda entry: bytes(1000),
+        lambda entry: entry[:20] + bytes(b ^ 255 for b in entry[20:]),
+    ],
+)
+def test_a_damaged_program_in_the_cache_is_written_anew(own_cache, capsys, damaged):
+    setup_jax()
+
+    def tenfold(x):
+        return x * 10 + len(str(damaged))
+
+    def entries():
+        jax.clear_caches()
+        assert jax.jit(tenfold)(1.0) > 10
+        return {file: file.read_bytes() for file in own_cache.glob("jit_tenfold-*")}
+
+    with warnings.catch_warnings(record=True) as shown:
+        warnings.showwarning = functools.partial(_mend_or_show, lambda *_, **__: pytest.fail("shown"))
+        before = entries()
+        assert len(before) == 1
+        (file,) = before
+        other = own_cache / "jit_tenfold_more-ab-cache"
+        other.write_bytes(b"kept")
+        file.write_bytes(damaged(before[file]))
+        whole = len(file.read_bytes())
+        after = entries()[file]
+        assert len(after) > whole or len(after) == len(before[file])
+        assert abs(len(after) - len(before[file])) < 100
+        assert other.read_bytes() == b"kept"
+        settled = entries()
+    assert settled == {file: after} and not shown
+
+
+def test_other_warnings_are_shown(own_cache):
+    setup_jax()
+    heard = []
+    show = functools.partial(_mend_or_show, lambda message, *_, **__: heard.append(str(message)))
+    gone = "Error reading persistent compilation cache entry for 'jit_gone': OSError: unreadable"
+    for words in ("something else", gone):
+        show(UserWarning(words), UserWarning, "a.py", 3)
+    assert heard == ["something else", gone]
 
 
 def python(*arguments):

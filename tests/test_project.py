@@ -22,6 +22,7 @@ DISTRIBUTION = {
     "cv2": "opencv-python-headless",
     "faiss": "faiss-cpu",
     "orbax": "orbax-checkpoint",
+    "rerun": "rerun-sdk",
     "yaml": "pyyaml",
 }
 

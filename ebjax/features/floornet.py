@@ -54,6 +54,7 @@ def _corners(
     return Features((keypoints + 0.5) * 2**octave - 0.5, descriptors, valid)
 
 
+@jax.jit
 def turn(descriptors: Float[Array, "*n D"]) -> Float[Array, "*n D"]:
     """The descriptors of the same corners in the view turned by pi."""
     return descriptors * jnp.broadcast_to(

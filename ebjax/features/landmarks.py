@@ -74,7 +74,11 @@ def floor_error_m(landmarks: Landmarks) -> float:
 
 def remounted_landmarks(landmarks: Landmarks, camera: Camera) -> Landmarks:
     """Many keyframes' landmarks where another mount of the same camera puts them."""
-    floor, points = _mounted(jnp.asarray(landmarks.pixels), jnp.asarray(landmarks.range_m), camera)
+    pixels, range_m = np.asarray(landmarks.pixels), np.asarray(landmarks.range_m)
+    # Runs of other lengths share the program.
+    more = (1 << max(6, (len(pixels) - 1).bit_length())) - len(pixels)
+    filled = (np.pad(x, [(0, more)] + [(0, 0)] * (x.ndim - 1)) for x in (pixels, range_m))
+    floor, points = (x[: len(pixels)] for x in _mounted(*filled, camera))
     return jax.tree.map(np.asarray, dataclasses.replace(landmarks, floor_points=floor, points=points))
 
 

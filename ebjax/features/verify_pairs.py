@@ -1,94 +1,125 @@
-"""Verification of many pairs of described frames, a block a call: one program for all of a process."""
+"""Verification of two described frames: one program for all pairs of a process, each pair by itself.
 
-from collections.abc import Callable
+A pair's random hypotheses are drawn from its own numbers, so that what it gives never depends on what else is verified,
+in which order or how many at a time.
+"""
+
+import dataclasses
+import typing
+from collections.abc import Callable, Iterable
 from functools import partial
+from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Array, Float, Int, UInt32
 
 from ebjax.features.landmarks import Landmarks
-from ebjax.features.measure import LoopMeasurement, measure_depth, measure_floor
+from ebjax.features.measure import LoopMeasurement
 from ebjax.features.settle import PairMatches, depth_motion, floor_motion, pair_matches
 from ebjax.features.verify import Verified, verify
 from ebjax.geometry.camera import Camera
 from ebjax.views.run_view import RunView
 
-PAIRS_A_CALL = 64
-Found = tuple[Verified, LoopMeasurement, LoopMeasurement, Int[np.ndarray, " K"], PairMatches]
+BLOCK = 64
+"""Pairs whose matches are asked for at once."""
+
+
+@typing.no_type_check
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Settled:
+    """A pair's motion by the floor and by depth under a camera's mount, and how many matches have depth."""
+
+    floor: LoopMeasurement
+    depth: LoopMeasurement
+    with_depth: Int[Array, "*n"]
+
+
+@typing.no_type_check
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class VerifiedPair:
+    """RANSAC's matches of a pair, what is known of each of them, and the motion they settle on."""
+
+    verified: Verified
+    matches: PairMatches
+    settled: Settled
+
+
+def settled_motion(matches: PairMatches, camera: Camera, tolerance_m: float | Float[Array, ""]) -> Settled:
+    """One pair's motion."""
+    deep, with_depth = depth_motion(matches, camera, tolerance_m)
+    return Settled(floor_motion(matches, camera, tolerance_m), deep, with_depth.sum())
 
 
 @partial(jax.jit, static_argnames="tolerance_m")
-def _block(query: Landmarks, reference: Landmarks, keys, view: RunView, camera: Camera, tolerance_m: float):
-    def one(args):
-        ours, theirs, key = args
-        found = verify(
-            ours.features, theirs.features, ours.floor_points, theirs.floor_points, key=key, tolerance=tolerance_m
-        )
-        q, r = found.query, found.reference
-        floor = measure_floor(ours.floor_points[q], theirs.floor_points[r], found.inliers)
-        deep = found.inliers & (ours.range_m[q] > 0) & (theirs.range_m[r] > 0)
-        range_m = jnp.maximum(ours.range_m[q], theirs.range_m[r])
-        depth = measure_depth(ours.points[q], theirs.points[r], deep, range_m)
-        return found, floor, depth, deep.sum(), pair_matches(ours, theirs, found, view, camera)
-
-    return jax.lax.map(one, (query, reference, keys))
-
-
-def verify_blocks(
-    pick: Callable[..., tuple[Landmarks, Landmarks]],
+def verify_pair(
+    ours: Landmarks,
+    theirs: Landmarks,
+    numbers: UInt32[Array, "4"],
     view: RunView,
     camera: Camera,
-    i: Int[np.ndarray, " K"],
-    j: Int[np.ndarray, " K"],
-    opposing: Bool[np.ndarray, " K"],
-    *,
     tolerance_m: float,
-    seed: int,
-) -> Found:
-    """Verifies and measures pairs: RANSAC's matches; i_from_j by the floor and by depth; how many inliers have depth.
+) -> VerifiedPair:
+    """Verifies and measures one pair.
 
     Args:
-      pick: (rows of i, rows of j, opposing) -> the landmarks of both, the second as the first's direction has them.
+      ours: of the later frame.
+      theirs: of the earlier one, as the later one's direction has them.
+      numbers: seed, number of the later frame, of the earlier one, whether they face each other.
       view: of the run.
       camera: of the run.
-      i: rows of the later frames.
-      j: rows of the earlier frames.
-      opposing: whether a pair looks at the floor from opposite sides.
-      tolerance_m: largest distance of matching points on the floor.
-      seed: of RANSAC.
+      tolerance_m: largest distance of matching points on the floor, m.
     """
-    keys = jax.random.split(jax.random.key(seed), max(len(i), 1))
-    results = []
-    for start in range(0, max(len(i), 1), PAIRS_A_CALL):
-        rows = np.arange(start, start + PAIRS_A_CALL) % max(len(i), 1)  # the last block is filled up: one shape
-        a, b = (i[rows], j[rows]) if len(i) else (np.zeros(PAIRS_A_CALL, int),) * 2
-        facing = opposing[rows] if len(i) else np.zeros(PAIRS_A_CALL, bool)
-        query, reference = pick(a, b, facing)
-        results.append(jax.tree.map(np.asarray, _block(query, reference, keys[rows], view, camera, tolerance_m)))
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(i)], *results)
+    key = jax.random.key(numbers[0])
+    for number in numbers[1:]:
+        key = jax.random.fold_in(key, number)
+    found = verify(
+        ours.features, theirs.features, ours.floor_points, theirs.floor_points, key=key, tolerance=tolerance_m
+    )
+    matches = pair_matches(ours, theirs, found, view, camera)
+    return VerifiedPair(found, matches, settled_motion(matches, camera, tolerance_m))
 
 
-@jax.jit
-def _settle(matches: PairMatches, camera: Camera, tolerance_m):
-    def one(pair):
-        deep, with_depth = depth_motion(pair, camera, tolerance_m)
-        return floor_motion(pair, camera, tolerance_m), deep, with_depth.sum()
-
-    return jax.lax.map(one, matches)
+def pair_numbers(seed: int, i: int, j: int, opposing: bool) -> UInt32[np.ndarray, "4"]:
+    """What the random hypotheses of a pair are drawn from."""
+    return np.array([seed, i, j, opposing], np.uint32)
 
 
-def settle_blocks(
-    matches: PairMatches, camera: Camera, tolerance_m: float
-) -> tuple[LoopMeasurement, LoopMeasurement, Int[np.ndarray, " K"]]:
-    """Every pair's motion by the floor and by depth under a camera's mount, and how many matches have depth."""
-    count = len(matches.start)
-    results = []
-    for start in range(0, max(count, 1), PAIRS_A_CALL):
-        rows = np.arange(start, start + PAIRS_A_CALL) % max(count, 1)
-        if not count:
-            matches = jax.tree.map(lambda leaf: np.zeros((1, *leaf.shape[1:]), leaf.dtype), matches)
-        block = jax.tree.map(lambda leaf, rows=rows: leaf[rows], matches)
-        results.append(jax.tree.map(np.asarray, _settle(block, camera, tolerance_m)))
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *results)
+_settle = jax.jit(settled_motion)
+
+
+def rows_of(matches: PairMatches) -> Callable[[Int[np.ndarray, " n"]], PairMatches]:
+    """What gives some rows of matches that are all at hand."""
+    return lambda rows: jax.tree.map(lambda leaf: np.asarray(leaf)[rows], matches)
+
+
+def settle_all(
+    matches: Callable[[Int[np.ndarray, " n"]], PairMatches], count: int, camera: Camera, tolerance_m: float
+) -> Settled:
+    """Every pair's motion under another mount of the camera.
+
+    Args:
+      matches: of some rows.
+      count: of pairs.
+      camera: as it is mounted.
+      tolerance_m: matches that are farther off count for nothing.
+    """
+    found = []
+    for start in range(0, count, BLOCK):
+        some = matches(np.arange(start, min(start + BLOCK, count)))
+        for k in range(len(some.start)):
+            one = jax.tree.map(lambda leaf, k=k: leaf[k], some)
+            found.append(jax.tree.map(np.asarray, _settle(one, camera, tolerance_m)))
+    return stacked(found)
+
+
+def stacked(rows: Iterable[Settled]) -> Settled:
+    """Many pairs' motions as arrays."""
+    found = list(rows)
+    if not found:
+        empty: Any = (np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(0), np.zeros(0, int))
+        none = LoopMeasurement(*empty[:3])
+        return Settled(none, none, empty[3])
+    return jax.tree.map(lambda *leaves: np.stack(leaves), *found)

@@ -57,6 +57,8 @@ class RobotConfig:
     """Time between two frames, s."""
     lateral_offset_m: float = 0.25
     """The ways back run this far to the left of the route, as they see it, m."""
+    lateral_spread_m: float = 0.0
+    """Every pass, out or back, runs up to this far to either side of where it would, drawn anew, m."""
     bend_m: float = 2.0
     """Length of the curve in which a bend of the route is driven, m."""
     weave_m: float = 0.03
@@ -84,7 +86,7 @@ def check(config: RobotConfig) -> None:
     for name in ("distance_m", "passes", "step_m", "turn_step_deg", "frame_s", "weave_length_m", "bend_m"):
         if not getattr(config, name) > 0:
             raise ValueError(f"robot.{name} is {getattr(config, name)}: needs a value above 0")
-    for name in ("weave_m", "stops", "drift"):
+    for name in ("lateral_spread_m", "weave_m", "stops", "drift"):
         if not getattr(config, name) >= 0:
             raise ValueError(f"robot.{name} is {getattr(config, name)}: needs a value of 0 or more")
     if not 0 <= config.nod_deg <= MOST_NOD_DEG:
@@ -156,14 +158,17 @@ def _drive(
 def drive(config: RobotConfig, rng: np.random.Generator) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, " N"]]:
     """True poses of all passes, and the pass to which each belongs.
 
-    Passes with an odd number go back along the route, `lateral_offset_m` to the left of it as they go. Turns on the
-    spot are to the left too. With `reverse` those passes go the same way, their headings turned by pi.
+    Passes with an odd number go back along the route, `lateral_offset_m` to the left of it as they go, and all within
+    `lateral_spread_m` of that. Turns on the spot are to the left too. With `reverse` those passes go the same way,
+    their headings turned by pi.
     """
     poses, number = np.zeros((0, 3)), []
     for p in range(config.passes):
         corners = route(config)[:: -1 if p % 2 else 1]
+        offset = config.lateral_offset_m if p % 2 else 0.0
+        if config.lateral_spread_m:
+            offset += rng.uniform(-config.lateral_spread_m, config.lateral_spread_m)
         for leg in _legs(corners):
-            offset = config.lateral_offset_m if p % 2 else 0.0
             driven = _drive(_centreline(leg, config.bend_m), offset, rng.uniform(0, 2 * np.pi), config)
             if config.reverse and p % 2:
                 driven[:, 2] += np.pi

@@ -13,7 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key, UInt8, UInt16
 
-from ebjax.floors import atlas, cameras, passers, robot, sensor, surface
+from ebjax.floors import cameras, passers, robot, sensor, surface
+from ebjax.floors.ageing import floors_of
 from ebjax.floors.cameras import CalibrationValues, CameraConfig, make_camera
 from ebjax.floors.furniture import furnish
 from ebjax.floors.nod import make_nod, nodded, with_tilt_of
@@ -41,6 +42,8 @@ class CorridorConfig:
     """Everything random follows from it."""
     light_change: float = 0.35
     """How much the light of later passes differs from the first's, 0 to 1: level, colour, daylight, exposure."""
+    exposure_change: float = 0.0
+    """How much the exposure differs from pass to pass: standard deviation of its natural logarithm."""
     gloss: float | None = None
     """Mirror image of the lamps in the floor, 0 to 1; None: that of the floor's family."""
     sun: float = 0.0
@@ -74,13 +77,13 @@ def check(config: CorridorConfig, calibration: CalibrationValues | None = None) 
         value = getattr(config, name)
         if value is not None and not 0 <= value <= 1:
             raise ValueError(f"{name} is {value}: needs a value from 0 to 1")
-    for name in ("sun", "landmarks_per_m"):
+    for name in ("sun", "landmarks_per_m", "exposure_change"):
         if not getattr(config, name) >= 0:
             raise ValueError(f"{name} is {getattr(config, name)}: needs a value of 0 or more")
     x_m = cameras.position(config.camera, calibration)[0]
     if config.plan.margin_m <= x_m:
         raise ValueError(f"plan.margin_m is {config.plan.margin_m}: the camera, {x_m} m ahead, would be in the wall")
-    needed = 2 * (abs(config.robot.lateral_offset_m) + config.robot.weave_m + 0.1)
+    needed = 2 * (abs(config.robot.lateral_offset_m) + config.robot.lateral_spread_m + config.robot.weave_m + 0.1)
     if config.plan.width_m < needed:
         raise ValueError(f"plan.width_m is {config.plan.width_m}: the robot's path needs {needed:.2f}")
     if config.sensor.readout_s > config.robot.frame_s:
@@ -109,7 +112,7 @@ class Recording:
       odom_from_base: what the wheels counted; starts at the identity, but for tilt.
       camera: float32.
       frame: index -> (RGB, depth in mm with 0 = missing); safe to call from several threads.
-      scene: the world that is seen.
+      scene: the world that is seen, on the first pass.
     """
 
     timestamps: Float[np.ndarray, " N"]
@@ -255,7 +258,10 @@ def record(
     ramp, nod = make_ramp(config.plan), make_nod(config.robot.nod_deg, config.seed)
     heights = None if ramp is None else ramp.height(poses[:, 0], poses[:, 1])
     odometry = robot.wheel_odometry(poses, config.robot, rng, heights)
-    exposure = np.exp(rng.normal(0.0, 0.03, len(poses))).astype(np.float32)
+    exposure = rng.normal(0.0, 0.03, len(poses))
+    if config.exposure_change:
+        exposure += rng.normal(0.0, config.exposure_change, config.robot.passes)[passes.astype(int)]
+    exposure = np.exp(exposure).astype(np.float32)
     times_s = config.robot.frame_s * np.arange(len(poses))
     world_from_base, odom_from_base = stand(poses, ramp), stand(odometry, None)
     world_from_body = nodded(world_from_base, nod, times_s)
@@ -265,8 +271,8 @@ def record(
     rays = None if camera.lens.model == "pinhole" else bent_rays(camera)
     furniture, paints = furnish(plan, config.landmarks_per_m, rng)
     walks = passers.plan_walks(poses, config.robot.frame_s, config.plan.width_m / 2, config.passers, rng)
-    floor = atlas.floor_of(plan, config.floor, key=floor_key, photographs=photographs)
-    scene = make_scene(plan, floor, config.plan.door_spacing_m, furniture, paints, ramp)
+    floor = floors_of(plan, config.floor, key=floor_key, photographs=photographs)
+    scene = make_scene(plan, floor(0), config.plan.door_spacing_m, furniture, paints, ramp)
 
     def frame(i: int) -> Frame:
         light = jax.tree.map(lambda leaf: leaf[int(passes[i])], of_pass)
@@ -274,7 +280,8 @@ def record(
         see = _see_blurred if config.sensor.shutter_s > 0 else _see
         seen_from = stand(moments(poses, i, camera.height, config), ramp)
         seen_from = nodded(seen_from, nod, np.asarray(times_s[i] + moment_times(camera.height, config)))
-        radiance, depth_m = see(scene, camera, jnp.asarray(seen_from, jnp.float32), light, passing, rays)
+        seen = dataclasses.replace(scene, floor=floor(int(passes[i])))
+        radiance, depth_m = see(seen, camera, jnp.asarray(seen_from, jnp.float32), light, passing, rays)
         key = jax.random.fold_in(image_key, i)
         image, depth = _expose(radiance, depth_m, jnp.asarray(exposure[i]), camera, config.sensor, key=key)
         return np.asarray(image), np.asarray(depth)

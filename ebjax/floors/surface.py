@@ -58,6 +58,8 @@ class FloorConfig:
     """Stains, cracks, scratches, chips, repairs per square metre (of a material that takes them all)."""
     wear: float = 1.0
     """Strength of each of them, 0 to 1."""
+    ageing_per_m2: float = 0.0
+    """Stains, cracks and the like per square metre that come between two passes, of the same strength."""
     texel_m: float = 0.003
     """Side of a texel, m."""
 
@@ -95,7 +97,7 @@ def check(config: FloorConfig) -> None:
     for name in ("disorder", "wear"):
         if not 0 <= getattr(config, name) <= 1:
             raise ValueError(f"floor.{name} is {getattr(config, name)}: needs a value from 0 to 1")
-    for name in ("dirt", "wear_per_m2"):
+    for name in ("dirt", "wear_per_m2", "ageing_per_m2"):
         if not getattr(config, name) >= 0:
             raise ValueError(f"floor.{name} is {getattr(config, name)}: needs a value of 0 or more")
 

@@ -164,8 +164,8 @@ def camera_from(file: CameraValues) -> Camera:
       ValueError: an unknown lens.
     """
     bent = lens(file.distortion_model, file.distortion)
-    pose = jnp.asarray(file.base_from_camera)
-    return Camera(jnp.asarray(file.intrinsics), pose, file.width, file.height, bent)
+    intrinsics, pose = jax.device_put((np.asarray(file.intrinsics), np.asarray(file.base_from_camera)))
+    return Camera(intrinsics, pose, file.width, file.height, bent)
 
 
 @jax.jit

@@ -1,7 +1,7 @@
 """Outputs are written whole or not at all: into a temporary neighbour first, then renamed into place.
 
 Parent folders are made. Whatever stops the writing (an error, ctrl-C) removes the temporary and leaves the old output
-alone.
+alone; a `resumed_folder` alone keeps it, to go on from.
 """
 
 import contextlib
@@ -73,3 +73,26 @@ def whole_folder(path: str | Path) -> Iterator[Path]:
             os.replace(source, target)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def resumed_folder(path: str | Path) -> Iterator[Path]:
+    """Yields `.NAME.partial` beside `path`, which becomes `path` when the block ends well, else stays for next time.
+
+    What is in it must be written as `whole_file`s: then what is there is whole, even after a kill.
+
+    Args:
+      path: a folder that does not exist yet, or is empty.
+
+    Raises:
+      OSError: the folder cannot be written, or `path` is there already.
+    """
+    path = Path(path).absolute()
+    if path.exists() and not (path.is_dir() and not any(path.iterdir())):
+        raise FileExistsError(17, "exists; name another folder", str(path))
+    temporary = path.parent / f".{path.name}.partial"
+    temporary.mkdir(parents=True, exist_ok=True)
+    for left in temporary.rglob(".*.partial"):
+        left.unlink()
+    yield temporary
+    temporary.rename(path)

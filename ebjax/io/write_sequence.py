@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8, UInt16
 
-from ebjax.io.atomic import whole_folder
+from ebjax.io.atomic import resumed_folder, whole_file, whole_folder
 from ebjax.io.camera_file import CameraFile, write_camera
 from ebjax.io.trajectory import write_tum
 
@@ -25,6 +25,7 @@ def write_sequence(
     *,
     quality: int = 95,
     threads: int = 2,
+    resume: bool = False,
     progress: Callable[[Iterable[None], int], Iterable[None]] = lambda items, total: items,
     finish: Callable[[Path], None] = lambda folder: None,
 ) -> None:
@@ -39,19 +40,21 @@ def write_sequence(
       frame: index -> (RGB, depth in file units); called from several threads.
       quality: of the JPEGs, 1 to 100.
       threads: frames made at a time.
+      resume: keep the frames of a writing that is interrupted in `.NAME.partial`, and go on from them.
       progress: wraps the frames as they are finished (iterable, total).
       finish: adds to the folder, before it appears under its name, what else belongs to the run.
     """
     names = [f"{t:.6f}" for t in timestamps]
-    with whole_folder(out) as folder:
-        (folder / "rgb").mkdir()
-        (folder / "depth").mkdir()
+    with resumed_folder(out) if resume else whole_folder(out) as folder:
 
         def write(i: int) -> None:
+            colour, deep = folder / "rgb" / f"{names[i]}.jpg", folder / "depth" / f"{names[i]}.png"
+            if deep.exists():  # written last
+                return
             rgb, depth = frame(i)
             bgr = cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR)
-            _encode(folder / "rgb" / f"{names[i]}.jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])
-            _encode(folder / "depth" / f"{names[i]}.png", depth, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+            _encode(colour, bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])
+            _encode(deep, depth, [cv2.IMWRITE_PNG_COMPRESSION, 1])
 
         with ThreadPoolExecutor(threads) as pool:
             try:
@@ -71,4 +74,5 @@ def write_sequence(
 def _encode(path: Path, image: np.ndarray, options: list[int]) -> None:
     done, content = cv2.imencode(path.suffix, image, options)
     assert done, path
-    path.write_bytes(content.tobytes())
+    with whole_file(path, "wb") as file:
+        file.write(content.tobytes())

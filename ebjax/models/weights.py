@@ -34,7 +34,7 @@ def save_weights(
     if path.is_dir():
         raise IsADirectoryError(21, "is a folder; name a file", str(path))
     path.parent.mkdir(parents=True, exist_ok=True)
-    data = save({key: np.ascontiguousarray(a) for key, a in arrays.items()}, {**(metadata or {}), NAME: model_name})
+    data = save({key: np.asarray(a, order="C") for key, a in arrays.items()}, {**(metadata or {}), NAME: model_name})
     temporary = path.parent / f".{path.name}.{uuid.uuid4().hex[:8]}.partial"
     try:
         temporary.write_bytes(data)
@@ -63,6 +63,22 @@ def load_weights(path: str | Path) -> tuple[str, dict[str, np.ndarray]]:
             f"{path}: not weights of ebjax; make them with `python -m ebjax.models convert CHECKPOINT OUT.safetensors`"
         )
     return name, arrays
+
+
+def load_metadata(path: str | Path) -> dict[str, str]:
+    """What else stands in the header of a weights file.
+
+    Raises:
+      ValueError: not a safetensors file, or truncated.
+      OSError: it cannot be read.
+    """
+    with open(path, "rb"):  # an OSError that names the file
+        pass
+    try:
+        with safe_open(path, framework="np") as file:
+            return dict(file.metadata() or {})
+    except SafetensorError as error:
+        raise ValueError(f"{path}: not a whole safetensors file ({in_short(error)})") from None
 
 
 def in_short(error: Exception) -> str:

@@ -10,7 +10,7 @@ from ebjax.geometry.planar import between, chained, inverse, inverse_covariance
 from ebjax.odometry.chain import carried_on
 from ebjax.odometry.image_corners import image_corners
 from ebjax.odometry.image_matches import ImageFeatures
-from ebjax.odometry.steps import USED, Steps
+from ebjax.odometry.steps import USED, Steps, joined, no_steps
 from ebjax.odometry.wheels import WheelErrors
 from ebjax.odometry.whole_image import measure_motion
 
@@ -51,7 +51,7 @@ def bridge(
     moved[steps.j[first]] = inverse(steps.i_from_j[first])
     moved = carried_on(moved, known[1:], times)
     looked: dict[int, ImageFeatures | None] = {}
-    rows: list[tuple] = []
+    rows: list[Steps] = []
     seen = None if ignored is None else ~ignored
 
     def look(k: int):
@@ -67,30 +67,49 @@ def bridge(
         a, b = look(k), look(j)
         if a is None or b is None:
             return False
-        if wheels is not None:
-            guess = between(wheels[k], wheels[j])
-            sigma = errors.step_sigmas(wheels[[j, k]])[0]
-            wide = inverse_covariance(inverse(guess), np.diag(sigma**2))
-        else:
-            guess = inverse(chained(moved[j:k])[-1])
-            length = float(np.hypot(*guess[:2]))
-            wide = np.diag([(0.3 * length + 0.03) ** 2] * 2 + [0.3**2])
-        found = measure_motion(a, b, camera, (guess, wide))
-        kind = "rotation" if found.kind == "rotation" else "image"
-        reason = USED if found.ok else NO_COMMON
-        rows.append((k, j, kind, found.inliers, found.matches, found.i_from_j, found.covariance, reason))
-        return found.ok
+        counted = None if wheels is None else wheels[[j, k]]
+        rows.append(step_of(k, j, a, b, camera, counted, chained(moved[j:k])[-1], errors))
+        return bool(rows[-1].used[0])
 
     for k in np.flatnonzero(~known[1:]) + 1:
         if not measure(int(k), int(k) - 1) and wheels is None:
             for i, j in ((k, k - 2), (k + 1, k - 1)):
                 if j >= 0 and i < count:
                     measure(int(i), int(j))
-    if not rows:
-        empty = np.zeros(0, int)
-        return Steps(
-            empty, empty, np.zeros(0, object), empty, empty, np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(0, object)
-        )
-    columns = [list(column) for column in zip(*rows, strict=True)]
+    return joined(rows) if rows else no_steps()
+
+
+def step_of(
+    k: int,
+    j: int,
+    later: ImageFeatures,
+    earlier: ImageFeatures,
+    camera: Camera,
+    wheels: Float[np.ndarray, "2 3"] | None,
+    guess: Float[np.ndarray, "3"],
+    errors: WheelErrors,
+) -> Steps:
+    """One step, a row, from the corners of two images.
+
+    Args:
+      k: row of the later keyframe.
+      j: row of the earlier one.
+      later: corners of its image.
+      earlier: likewise.
+      camera: of both.
+      wheels: odometry of the earlier and the later one; None without.
+      guess: earlier_from_later as it is expected without wheels.
+      errors: of the wheels.
+    """
+    if wheels is not None:
+        prior = between(wheels[1], wheels[0])
+        wide = inverse_covariance(inverse(prior), np.diag(errors.step_sigmas(wheels)[0] ** 2))
+    else:
+        prior = inverse(guess)
+        wide = np.diag([(0.3 * float(np.hypot(*prior[:2])) + 0.03) ** 2] * 2 + [0.3**2])
+    found = measure_motion(later, earlier, camera, (prior, wide))
+    kind = "rotation" if found.kind == "rotation" else "image"
+    reason = USED if found.ok else NO_COMMON
+    row = (k, j, kind, found.inliers, found.matches, found.i_from_j, found.covariance, reason)
     types = (int, int, object, int, int, float, float, object)
-    return Steps(*(np.array(column, dtype) for column, dtype in zip(columns, types, strict=True)))
+    return Steps(*(np.array([value], dtype) for value, dtype in zip(row, types, strict=True)))

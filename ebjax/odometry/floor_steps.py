@@ -1,13 +1,13 @@
 """Steps measured on the floor or by depth, the camera's tilt put right by them first."""
 
 import dataclasses
+from collections.abc import Callable, Sequence
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt8
 
-from ebjax.features.landmarks import Landmarks, remounted_landmarks, take
 from ebjax.features.settle import PairMatches
-from ebjax.features.verify_pairs import settle_blocks, verify_blocks
+from ebjax.features.verify_pairs import Settled, settle_all
 from ebjax.geometry.camera import Camera
 from ebjax.geometry.planar import between, compose, inverse, log
 from ebjax.odometry.chain import LIMIT
@@ -28,80 +28,79 @@ NOT_THE_WHEELS = "the whole image contradicts the wheels"
 
 @dataclasses.dataclass(frozen=True)
 class FloorPairs:
-    """Verified pairs of keyframes, rows i > j: agreeing and putative matches, and the matches themselves."""
+    """Verified pairs of keyframes, rows i > j.
+
+    Attributes:
+      i: rows of the later keyframes.
+      j: rows of the earlier ones.
+      inliers: agreeing matches.
+      total: putative ones.
+      matches: of some of the pairs, by their place in `i`.
+      settled: their motions under the camera they were verified with; None where that is another by now.
+    """
 
     i: Int[np.ndarray, " K"]
     j: Int[np.ndarray, " K"]
     inliers: Int[np.ndarray, " K"]
     total: Int[np.ndarray, " K"]
-    matches: PairMatches
+    matches: Callable[[Int[np.ndarray, " n"]], PairMatches]
+    settled: Settled | None = None
 
     @property
     def believed(self) -> Bool[np.ndarray, " K"]:
         """Those whose matches agree well enough."""
         return (self.inliers >= MIN_INLIERS) & (self.inliers >= MIN_RATIO * self.total)
 
+    def measured(
+        self, camera: Camera, tolerance_m: float, trust_depth: bool = False
+    ) -> tuple[Float[np.ndarray, "K 3"], Float[np.ndarray, "K 3 3"], Bool[np.ndarray, " K"]]:
+        """i_from_j and its covariance by floor or depth, whichever is more certain, and which it was."""
+        settled = self.settled
+        if settled is None:
+            settled = settle_all(self.matches, len(self.i), camera, tolerance_m)
+        return more_certain(settled, trust_depth)
 
-def verified_pairs(
-    landmarks: Landmarks,
-    view: RunView,
-    camera: Camera,
-    i: Int[np.ndarray, " K"],
-    j: Int[np.ndarray, " K"],
-    *,
-    tolerance_m: float,
-    seed: int,
-) -> FloorPairs:
-    """Verifies pairs of keyframes that look in the same direction."""
 
-    def pick(a, b, _):
-        return take(landmarks, a), take(landmarks, b)
-
-    found, *_, matches = verify_blocks(
-        pick, view, camera, i, j, np.zeros(len(i), bool), tolerance_m=tolerance_m, seed=seed
-    )
-    inliers, total = (np.asarray(rows).sum(-1) for rows in (found.inliers, found.matched))
-    return FloorPairs(i, j, inliers, total, matches)
+PairsUnder = Callable[[Camera, Int[np.ndarray, " K"], Int[np.ndarray, " K"]], FloorPairs]
+"""(camera, rows of the later keyframes, of the earlier ones) -> the pairs, verified under that camera."""
 
 
 def upright_pairs(
-    landmarks: Landmarks,
+    pairs_under: PairsUnder,
     view: RunView,
     camera: Camera,
     poses: Float[np.ndarray, "N 3"],
     *,
     tolerance_m: float,
     refine: bool,
-    seed: int,
 ) -> tuple[FloorPairs, Camera, Tilt]:
     """Verifies every keyframe against earlier ones, the camera's tilt put right by the first pairs."""
     i, j = partners(view, poses)
     tilt = Tilt()
-    pairs = verified_pairs(landmarks, view, camera, i, j, tolerance_m=tolerance_m, seed=seed)
+    pairs = pairs_under(camera, i, j)
     for _ in range(2 if refine else 0):
         camera, more = refine_tilt(pairs.matches, pairs.believed, camera, tolerance_m)
         tilt = tilt.further(more)
         if not more.applied:
             break
-        moved = remounted_landmarks(landmarks, camera)
-        pairs = verified_pairs(moved, view, camera, i, j, tolerance_m=tolerance_m, seed=seed)
+        pairs = pairs_under(camera, i, j)
     return pairs, camera, tilt
 
 
 def table_of(pairs: FloorPairs, camera: Camera, tolerance_m: float, trust_depth: bool = False) -> Steps:
     """Verified pairs as steps, measured by the floor or by depth, whichever is more certain."""
-    i_from_j, covariance, by_depth = measured(pairs.matches, camera, tolerance_m, trust_depth)
+    i_from_j, covariance, by_depth = pairs.measured(camera, tolerance_m, trust_depth)
     kind = np.where(by_depth, "depth", "floor").astype(object)
     return judged(pairs.i, pairs.j, kind, pairs.inliers, pairs.total, i_from_j, covariance)
 
 
-def measured(
-    matches: PairMatches, camera: Camera, tolerance_m: float, trust_depth: bool = False
+def more_certain(
+    settled: Settled, trust_depth: bool
 ) -> tuple[Float[np.ndarray, "K 3"], Float[np.ndarray, "K 3 3"], Bool[np.ndarray, " K"]]:
-    """i_from_j and its covariance by floor or depth, whichever is more certain, and which it was."""
-    floor, depth, with_depth = settle_blocks(matches, camera, tolerance_m)
+    """i_from_j and its covariance by floor or depth, and which it was; depth wherever there is any if it is trusted."""
+    floor, depth = settled.floor, settled.depth
     size = [np.trace(m.covariance[:, :2, :2], axis1=1, axis2=2) for m in (floor, depth)]
-    by_depth = (with_depth >= MIN_DEPTH) & (trust_depth | (size[1] < size[0]))
+    by_depth = (settled.with_depth >= MIN_DEPTH) & (trust_depth | (size[1] < size[0]))
     return (
         np.where(by_depth[:, None], depth.i_from_j, floor.i_from_j).astype(float),
         np.where(by_depth[:, None, None], depth.covariance, floor.covariance).astype(float),
@@ -109,7 +108,9 @@ def measured(
     )
 
 
-def without_body(steps: Steps, wheels: Float[np.ndarray, "N 3"], views: np.ndarray, errors: WheelErrors) -> Steps:
+def without_body(
+    steps: Steps, wheels: Float[np.ndarray, "N 3"], views: Sequence[UInt8[np.ndarray, "h w 3"]], errors: WheelErrors
+) -> Steps:
     """Refuses steps of no motion where the wheels turned and the views, as a whole, did change or are one and the same.
 
     Matches that stand still while the robot moves lie on the robot itself, or the camera has frozen.

@@ -74,7 +74,7 @@ def bends(pairs: FloorPairs, poses: Float[np.ndarray, "N 3"], camera: Camera, to
     disagree = (pairs.total >= LEAST_MATCHES) & (pairs.inliers < MOST_AGREE * pairs.total) & (pairs.i - pairs.j == 1)
     found = []
     for k in np.flatnonzero(disagree):
-        one = jax.tree.map(lambda leaf, k=k: leaf[k], pairs.matches)
+        one = jax.tree.map(lambda leaf: leaf[0], pairs.matches(np.array([k])))
         motion = between(poses[pairs.i[k]], poses[pairs.j[k]])
         agree = np.asarray(_agreeing(one, motion, camera, tolerance_m))
         best = agree.max()

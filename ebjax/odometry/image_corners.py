@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
@@ -69,8 +68,8 @@ def with_depth(features: ImageFeatures, depth_m: Float[np.ndarray, "H W"] | None
     """The corners, in ideal pixels, with what a depth image says at each."""
     if depth_m is None:
         return replace(features, depth_m=None)
-    pixels = jnp.asarray(_padded(features.keypoints), jnp.float32)
-    depth = _lift(pixels, jnp.asarray(depth_m, jnp.float32), camera)[1]
+    pixels = _padded(features.keypoints).astype(np.float32)
+    depth = _lift(pixels, depth_m.astype(np.float32), camera)[1]
     return replace(features, depth_m=np.asarray(depth, np.float64)[: len(features)])
 
 

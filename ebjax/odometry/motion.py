@@ -6,7 +6,7 @@ settle a chain, which names the steps and the counts of the wheels that the othe
 """
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Literal
 
 import jax
@@ -19,14 +19,21 @@ from ebjax.geometry.camera import Camera
 from ebjax.odometry.bridge import bridge
 from ebjax.odometry.chain import Edges
 from ebjax.odometry.clock import TimeOffset
-from ebjax.odometry.floor_steps import FloorPairs, table_of, upright_pairs, without_body, without_contradiction
+from ebjax.odometry.floor_steps import (
+    FloorPairs,
+    PairsUnder,
+    table_of,
+    upright_pairs,
+    without_body,
+    without_contradiction,
+)
 from ebjax.odometry.fuse import Jump, fuse
 from ebjax.odometry.ground import bends, ground_warnings
 from ebjax.odometry.height import Reach
 from ebjax.odometry.mount import FEWEST, Tilt, refine_tilt
 from ebjax.odometry.nods import REST_DEG, levelled_matches, nods, within
 from ebjax.odometry.self_check import height_off, mount_warnings, moved_camera, offset_of, reach_of, systematic_of
-from ebjax.odometry.steps import Steps, joined
+from ebjax.odometry.steps import Steps, joined, no_steps
 from ebjax.odometry.wheels import Systematic, WheelErrors
 from ebjax.views.run_view import RunView
 
@@ -89,7 +96,6 @@ class MotionConfig:
     tolerance_m: float
     refine: Literal["tilt", "all", "none"]
     estimate_offset: bool
-    seed: int
     errors: WheelErrors
 
 
@@ -100,24 +106,29 @@ class Keyframes:
     Attributes:
       frames: frame number of every keyframe.
       times: s.
-      landmarks: under the camera as it is given.
-      views: floor views, uint8.
+      pairs_under: verifies pairs of them.
+      sample: landmarks of some of them, spread over the run, under the camera as it is given.
+      views: floor views, uint8, read when one is asked for.
       view: of the run.
       wheels_at: (what is added to the images' stamps, s) -> odometry at the keyframes; None without wheels.
-      load: frame number -> (RGB, depth) for the whole image, where the floor tells nothing.
+      load: frame number -> (RGB, depth) for the whole image, where the floor tells nothing; None where images cannot
+        be had again.
       ignored: pixels of the image that are no world.
       level_from_base: how the robot leans at every keyframe; None: it does not.
+      bridged: steps that were measured by whole images when these came.
     """
 
     frames: Int[np.ndarray, " N"]
     times: Float[np.ndarray, " N"]
-    landmarks: Landmarks
-    views: UInt8[np.ndarray, "N h w 3"]
+    pairs_under: PairsUnder
+    sample: Landmarks
+    views: Sequence[UInt8[np.ndarray, "h w 3"]]
     view: RunView
     wheels_at: Callable[[float], Float[np.ndarray, "N 3"]] | None
-    load: Load
+    load: Load | None
     ignored: Bool[np.ndarray, "H W"] | None
     level_from_base: Float[np.ndarray, "N 4 4"] | None = None
+    bridged: Steps | None = None
 
 
 def fused_motion(keyframes: Keyframes, camera: Camera, start: Float[np.ndarray, "N 3"], config: MotionConfig) -> Motion:
@@ -131,15 +142,9 @@ def fused_motion(keyframes: Keyframes, camera: Camera, start: Float[np.ndarray, 
     """
 
     def attempt(camera: Camera) -> Motion:
-        landmarks = remounted_landmarks(keyframes.landmarks, camera)
+        refine = config.refine != "none"
         pairs, camera, tilt = upright_pairs(
-            landmarks,
-            keyframes.view,
-            camera,
-            start,
-            tolerance_m=config.tolerance_m,
-            refine=config.refine != "none",
-            seed=config.seed + 1,
+            keyframes.pairs_under, keyframes.view, camera, start, tolerance_m=config.tolerance_m, refine=refine
         )
         return conclude(keyframes, pairs, camera, tilt, config)
 
@@ -147,67 +152,68 @@ def fused_motion(keyframes: Keyframes, camera: Camera, start: Float[np.ndarray, 
     if config.refine != "all":
         return motion
     wheels = None if keyframes.wheels_at is None else keyframes.wheels_at(motion.offset.offset_s)
-    landmarks = remounted_landmarks(keyframes.landmarks, motion.camera)
+    landmarks = remounted_landmarks(keyframes.sample, motion.camera)
     reach = reach_of(motion.steps, landmarks, motion.camera, wheels, motion.wheels, config.errors)
     again = attempt(moved_camera(motion.camera, reach))
     return dataclasses.replace(again, reach=reach, tilt=motion.tilt.further(again.tilt))
 
 
-def motion_with_closures(
-    motion: Motion,
-    keyframes: Keyframes,
-    closures: PairMatches,
-    believed: Bool[np.ndarray, " K"],
-    config: MotionConfig,
-) -> Motion:
+def motion_with_closures(motion: Motion, keyframes: Keyframes, closures: FloorPairs, config: MotionConfig) -> Motion:
     """The motion under the tilt that steps and closures together tell; views from opposite sides tell it best."""
-    if config.refine == "none" or not believed.any() or motion.pairs.believed.sum() < FEWEST:
+    if config.refine == "none" or not closures.believed.any() or motion.pairs.believed.sum() < FEWEST:
         return motion
-    both = jax.tree.map(lambda a, b: np.concatenate([a, b]), motion.pairs.matches, closures)
-    used = np.concatenate([motion.pairs.believed, believed])
-    camera, more = refine_tilt(both, used, motion.camera, config.tolerance_m, certain=not motion.tilt.applied)
+    camera, more = refine_tilt(
+        *both(motion.pairs, closures), motion.camera, config.tolerance_m, certain=not motion.tilt.applied
+    )
     tilt = motion.tilt.further(more)
     if not more.applied:
         return dataclasses.replace(motion, tilt=tilt)
-    concluded = conclude(keyframes, motion.pairs, camera, tilt, config, motion.bridged)
-    return dataclasses.replace(concluded, reach=motion.reach)
+    pairs = dataclasses.replace(motion.pairs, settled=None)
+    return dataclasses.replace(conclude(keyframes, pairs, camera, tilt, config, motion.bridged), reach=motion.reach)
+
+
+def both(
+    steps: FloorPairs, closures: FloorPairs
+) -> tuple[Callable[[Int[np.ndarray, " n"]], PairMatches], Bool[np.ndarray, " K"]]:
+    """The matches of steps, then of closures, by their place in the row of all, and which of them are believed."""
+    count = len(steps.i)
+
+    def matches(rows: Int[np.ndarray, " n"]) -> PairMatches:
+        parts = (steps, rows[rows < count]), (closures, rows[rows >= count] - count)
+        some = [pairs.matches(of) for pairs, of in parts if len(of)]
+        return jax.tree.map(lambda *leaves: np.concatenate(leaves), *some)
+
+    return matches, np.concatenate([steps.believed, closures.believed])
 
 
 def motion_of_nodding(
-    motion: Motion,
-    keyframes: Keyframes,
-    closures: PairMatches,
-    believed: Bool[np.ndarray, " K"],
-    i: Int[np.ndarray, " K"],
-    j: Int[np.ndarray, " K"],
-    config: MotionConfig,
-) -> tuple[Motion, PairMatches]:
-    """The motion, and the closures' matches, with what is left of every keyframe's lean put right.
+    motion: Motion, keyframes: Keyframes, closures: FloorPairs, config: MotionConfig
+) -> tuple[Motion, FloorPairs]:
+    """The motion, and the closures, with what is left of every keyframe's lean put right.
 
     Steps hardly tell a slow lean from a scale; views from opposite sides do.
 
     Args:
       motion: of keyframes that were looked at as the robot leans.
       keyframes: see there.
-      closures: matches of candidates.
-      believed: which of them count.
-      i: rows of their later keyframes.
-      j: rows of their earlier ones.
+      closures: candidates; those that are believed count.
       config: see there.
     """
     pairs = motion.pairs
-    both = jax.tree.map(lambda a, b: np.concatenate([a, b]), pairs.matches, closures)
-    used = np.concatenate([pairs.believed, believed])
-    rows = np.concatenate([pairs.i, i]), np.concatenate([pairs.j, j])
-    some = jax.tree.map(lambda leaf: leaf[used], both)
+    matches, believed = both(pairs, closures)
+    some = matches(np.flatnonzero(believed))
     some = dataclasses.replace(some, matched=within(some, motion.camera, NEAR * config.tolerance_m))
-    ends = rows[0][used], rows[1][used]
-    found = nods(some, *ends, len(motion.frames), motion.camera, times=keyframes.times, prior_deg=REST_DEG)
-    level = levelled_matches(pairs.matches, pairs.i, pairs.j, found, motion.camera)
-    pairs = dataclasses.replace(pairs, matches=level)
-    concluded = conclude(keyframes, pairs, motion.camera, motion.tilt, config, motion.bridged)
-    concluded = dataclasses.replace(concluded, reach=motion.reach)
-    return concluded, levelled_matches(closures, i, j, found, motion.camera)
+    i, j = (np.concatenate([getattr(pairs, end), getattr(closures, end)])[believed] for end in ("i", "j"))
+    found = nods(some, i, j, len(motion.frames), motion.camera, times=keyframes.times, prior_deg=REST_DEG)
+
+    def level(pairs: FloorPairs) -> FloorPairs:
+        def levelled(rows: Int[np.ndarray, " n"]) -> PairMatches:
+            return levelled_matches(pairs.matches(rows), pairs.i[rows], pairs.j[rows], found, motion.camera)
+
+        return dataclasses.replace(pairs, matches=levelled, settled=None)
+
+    concluded = conclude(keyframes, level(pairs), motion.camera, motion.tilt, config, motion.bridged)
+    return dataclasses.replace(concluded, reach=motion.reach), level(closures)
 
 
 def conclude(
@@ -220,13 +226,16 @@ def conclude(
 ) -> Motion:
     """The motion that verified pairs tell under a camera; what the whole images say is measured where not given."""
     count, times, wheels_at = len(keyframes.frames), keyframes.times, keyframes.wheels_at
-    landmarks = remounted_landmarks(keyframes.landmarks, camera)
+    landmarks = remounted_landmarks(keyframes.sample, camera)
     trust_depth = height_off(landmarks, camera) > TRUST_DEPTH
     floor = table_of(pairs, camera, config.tolerance_m, trust_depth)
     wheels = None if wheels_at is None else wheels_at(0.0)
     if wheels is not None:
         floor = without_body(floor, wheels, keyframes.views, config.errors)
+    if bridged is None and keyframes.load is None:
+        bridged = keyframes.bridged or no_steps()
     if bridged is None:
+        assert keyframes.load is not None
         known = keyframes.load, config.errors, keyframes.ignored, keyframes.level_from_base
         bridged = bridge(floor, count, keyframes.frames, times, wheels, camera, *known)
     steps = joined([floor, bridged])

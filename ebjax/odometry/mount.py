@@ -7,11 +7,12 @@ by that, as it only scales.
 """
 
 import dataclasses
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from ebjax.features.settle import FREEDOM, LEAST_FACTOR, MEDIAN, PairMatches, spread_on_floor, white
 from ebjax.geometry.camera import Camera
@@ -100,12 +101,17 @@ def _solve(matches: PairMatches, use: Float[Array, " P"], camera: Camera, tolera
 
 
 def refine_tilt(
-    matches: PairMatches, used: Bool[np.ndarray, " P"], camera: Camera, tolerance_m: float, *, certain: bool = True
+    matches: Callable[[Int[np.ndarray, " n"]], PairMatches],
+    used: Bool[np.ndarray, " P"],
+    camera: Camera,
+    tolerance_m: float,
+    *,
+    certain: bool = True,
 ) -> tuple[Camera, Tilt]:
     """Pitch and roll of a camera, from pairs that look at the same floor, in the same or in opposite direction.
 
     Args:
-      matches: of the pairs, with starts that are right to about the tolerance.
+      matches: of some of the pairs, with starts that are right to about the tolerance.
       used: which pairs count; at most 256 of them, evenly spread, are looked at.
       camera: as it is thought to be mounted.
       tolerance_m: matches that are farther off than twice this count for nothing.
@@ -116,8 +122,8 @@ def refine_tilt(
         return camera, Tilt(pairs=len(rows))
     if len(rows) > PAIRS:
         rows = rows[np.linspace(0, len(rows) - 1, PAIRS).round().astype(int)]
-    padded = np.resize(rows, PAIRS)
-    some = jax.tree.map(lambda leaf: leaf[padded], matches)
+    padded = np.resize(np.arange(len(rows)), PAIRS)
+    some = jax.tree.map(lambda leaf: np.asarray(leaf)[padded], matches(rows))
     names = ("pixels_i", "pixels_j", "points_i", "points_j", "matched", "spread")
     some = dataclasses.replace(some, **{name: getattr(some, name)[:, :MATCHES] for name in names})
     use = np.where(np.arange(PAIRS) < len(rows), 1.0, 0.0)

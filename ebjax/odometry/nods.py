@@ -17,7 +17,7 @@ import scipy.sparse as sparse
 from jaxtyping import Array, Bool, Float, Int
 from scipy.sparse.linalg import splu, spsolve
 
-from ebjax.features.landmarks import Landmarks, take
+from ebjax.features.landmarks import Landmarks
 from ebjax.features.measure import measure_floor
 from ebjax.features.settle import EXCESS, FREEDOM, MEDIAN, PairMatches, pair_matches, white
 from ebjax.features.verify import verify
@@ -54,13 +54,18 @@ def _matched(query: Landmarks, reference: Landmarks, keys, view: RunView, camera
 
 
 def bent_pairs(
-    landmarks: Landmarks, view: RunView, camera: Camera, i: Int[np.ndarray, " K"], j: Int[np.ndarray, " K"], seed: int
+    landmarks: Callable[[Int[np.ndarray, " n"]], Landmarks],
+    view: RunView,
+    camera: Camera,
+    i: Int[np.ndarray, " K"],
+    j: Int[np.ndarray, " K"],
+    seed: int,
 ) -> PairMatches:
-    """Matches of pairs of floor views that agree on a homography between them."""
+    """Matches of pairs of floor views that agree on a homography between them; `landmarks` gives those of some rows."""
     keys = jax.random.split(jax.random.key(seed), len(i))
 
     def block(rows):
-        ends = take(landmarks, i[rows]), take(landmarks, j[rows])
+        ends = landmarks(i[rows]), landmarks(j[rows])
         return _matched(*ends, keys[rows], view, camera, TOLERANCE_M)
 
     return _in_blocks(block, len(i))

@@ -43,6 +43,10 @@ class Steps:
         """Which count."""
         return self.reason == USED
 
+    def rows(self, which: Bool[np.ndarray, " K"]) -> "Steps":
+        """Some of them."""
+        return Steps(*(getattr(self, field.name)[which] for field in dataclasses.fields(self)))
+
     def consecutive(self) -> Int[np.ndarray, " n"]:
         """Rows of the used steps from the keyframe before."""
         return np.flatnonzero(self.used & (self.i - self.j == 1))
@@ -79,6 +83,12 @@ def judged(
     reason[inliers < MIN_INLIERS] = "few matches"
     reason[~np.isfinite(i_from_j).all(1) | ~np.isfinite(sigma).all(1)] = "few matches"
     return Steps(i, j, kind, inliers, matches, i_from_j, covariance, reason)
+
+
+def no_steps() -> Steps:
+    """A table without rows."""
+    none, words = np.zeros(0, int), np.zeros(0, object)
+    return Steps(none, none, words, none, none, np.zeros((0, 3)), np.zeros((0, 3, 3)), words)
 
 
 def joined(tables: list[Steps]) -> Steps:

@@ -1,4 +1,4 @@
-"""`python -m ebjax.evaluation ablations`: what the result depends on, a table and a figure each."""
+"""`python -m ebjax.paper ablations`: what the result depends on, a table and a figure each."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -9,7 +9,7 @@ from ebjax.paper.experiment import Experiment
 
 
 def make(out: Path, *, quick: bool, seed: int) -> list[str]:
-    """Measures, draws and writes the ablations; see `ebjax.evaluation.__main__.AblationsConfig`.
+    """Measures, draws and writes the ablations; see `ebjax.paper.__main__.AblationsConfig`.
 
     Returns:
       the lines of the tables.

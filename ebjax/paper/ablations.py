@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from ebjax.evaluation.run import spread_rows
-from ebjax.floors.__main__ import Config as WorldConfig
 from ebjax.floors.robot import RobotConfig
 from ebjax.floors.surface import FAMILIES, FloorConfig
 from ebjax.paper.drift import ODOMETRY, OURS, ate_rmse_m, measure
@@ -23,6 +22,7 @@ from ebjax.paper.retrieval import TURNED
 from ebjax.posegraph.falseloops import add_false_loops
 from ebjax.posegraph.lm import solve
 from ebjax.viz import experiments
+from ebjax.worlds.render import Config as WorldConfig
 
 BASE = "base"
 KERNELS = ("none", "huber", "cauchy", "geman-mcclure", "dcs", "tls", "gnc-tls", "gnc-gm", "pcm", "consensus")

@@ -1,4 +1,4 @@
-"""`python -m ebjax.evaluation crops`: the ranking of descriptors on real floors beside that on synthetic ones."""
+"""`python -m ebjax.paper crops`: the ranking of descriptors on real floors beside that on synthetic ones."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -79,7 +79,7 @@ def make(
     pairs: int,
     side_by_side: bool,
 ) -> list[str]:
-    """Measures both, writes crops.md, crops.json and pictures; see `ebjax.evaluation.__main__.CropsConfig`.
+    """Measures both, writes crops.md, crops.json and pictures; see `ebjax.paper.__main__.CropsConfig`.
 
     Returns:
       the lines of the table, Kendall's tau among them.

@@ -19,9 +19,11 @@ from ebjax.paper.run import Run
 from ebjax.posegraph import init
 from ebjax.posegraph.g2o import read_g2o
 from ebjax.posegraph.lm import solve
-from ebjax.slam.pipeline import PipelineConfig, Result
+from ebjax.slam.believe import Measured
+from ebjax.slam.config import PipelineConfig
 from ebjax.slam.pipeline import run as run_pipeline
-from ebjax.slam.select import Measured
+from ebjax.slam.recording import Recording
+from ebjax.slam.run import Run as Result
 from ebjax.slam.world import planar
 
 ODOMETRY, OFF, SAME, OURS = "odometry", "loop closures off", "same direction only", "ours"
@@ -68,7 +70,7 @@ def close_loops(run: Run, config: PipelineConfig) -> Closed:
         return run.sequence.rgb(k), run.sequence.depth(k) if run.sequence.has_depth else None
 
     odometry = planar(require_odometry(run.sequence))
-    result = run_pipeline(load, run.sequence.timestamps, odometry, run.camera, run.view, config)
+    result = run_pipeline(Recording(load, run.sequence.timestamps, odometry), run.camera, run.view, config)
     c: Measured = result.candidates
     return Closed(run, odometry, result, closure_errors(run.truth[c.i], run.truth[c.j], c.i_from_j))
 

@@ -25,7 +25,7 @@ from ebjax.paper.retrieval import BOTH, FLOOR, INPUTS, TURNED, Retrieval
 from ebjax.paper.run import Run, read_run
 from ebjax.places.descriptor import DESCRIPTORS, Descriptor, descriptor
 from ebjax.places.search import rankings
-from ebjax.slam.pipeline import PipelineConfig
+from ebjax.slam.config import PipelineConfig
 
 Tables = dict[str, dict[str, dict[str, dict[str, Any]]]]
 """table -> row -> data set -> metric."""

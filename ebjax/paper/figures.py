@@ -66,18 +66,18 @@ def trajectory(closed: Closed) -> bytes:
 def registered_maps(closed: Closed) -> bytes:
     """Figure 6: the floor laid out by odometry, by the corrected path and by the truth."""
     result, run = closed.result, closed.run
-    panels = {}
+    panels, rows = {}, range(len(result.keyframes))
     for name, path in (
         ("odometry", closed.odometry),
         ("ours", np.asarray(result.solution.poses)),
         ("truth", run.truth),
     ):
         made = mosaic(
-            iter(result.described.view),
+            map(result.seen, rows),
             np.asarray(run.view.seen),
             np.asarray(run.view.floor_from_view, np.float64),
             _upright(path, run.truth)[result.keyframes],
-            masks=iter(result.described.floor),
+            masks=map(result.floor, rows),
         )
         panels[name] = (made.image, made.extent)
     return experiments.maps(panels)

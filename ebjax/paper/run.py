@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 
 from ebjax.geometry.camera import Camera, camera_from
 from ebjax.io.sequence import Sequence, read_sequence
-from ebjax.slam.keyframes import moved_enough
+from ebjax.slam.drive import moved_enough
 from ebjax.slam.world import planar
 from ebjax.views.run_view import RunView, choose_floor, from_camera
 

@@ -1,4 +1,4 @@
-"""`python -m ebjax.evaluation stress`: descriptors on clean and corrupted floor views of several runs, in one table."""
+"""`python -m ebjax.paper stress`: descriptors on clean and corrupted floor views of several runs, in one table."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -33,7 +33,7 @@ Found = Mapping[str, Mapping[str, Mapping[str, Mapping[str, Any]]]]
 def make(
     paths: Sequence[Path], out: Path, names: Sequence[str], weights: Path | None, strength: float, seeds: int
 ) -> list[str]:
-    """Measures, writes stress.md, stress.json and stress.png; see `ebjax.evaluation.__main__.StressConfig`.
+    """Measures, writes stress.md, stress.json and stress.png; see `ebjax.paper.__main__.StressConfig`.
 
     Returns:
       the lines of the tables.

@@ -8,7 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import UInt8
 
-from ebjax.floors.atlas import floor_of, locate, look
+from ebjax.floors.atlas import locate, look
+from ebjax.floors.laying import floor_of
 from ebjax.floors.robot import RobotConfig
 from ebjax.floors.sensor import GAMMA
 from ebjax.floors.sequence import CorridorConfig, plan_of

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import ebjax
 from ebjax.config import load_config
-from ebjax.floors.__main__ import Config as WorldConfig
-from ebjax.floors.__main__ import render_sequence
 from ebjax.floors.sequence import check
 from ebjax.io.atomic import whole_file
+from ebjax.worlds.render import Config as WorldConfig
+from ebjax.worlds.render import render_sequence
 
 QUICK_STEP_M, QUICK_WAY_M = 0.4, 12.0
 """Of a quick world: distance between two frames, at least, and length of a straight way out, at most."""

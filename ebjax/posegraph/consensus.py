@@ -16,13 +16,13 @@ from math import gamma, pi
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool
 
-from ebjax.posegraph.consistency import Loops, all_cycles, cycle, largest_clique, make_loops
+from ebjax.posegraph.consistency import Loops, all_cycles, cycles_with, largest_clique, make_loops
 from ebjax.posegraph.graph import PoseGraph, definite, loops_of, steps_of
 from ebjax.posegraph.init import odometry
+from ebjax.posegraph.matrices import adjoints, to_matrices
 from ebjax.posegraph.robust import CHI2_99
 
 RULES = ("pcm", "consensus")
@@ -66,7 +66,7 @@ def _loops(graph: PoseGraph, loop) -> Loops:
     steps = np.tile(np.eye(graph.lie.dim) * extent**2, (len(poses) - 1, 1, 1))
     chain = np.flatnonzero(~loop & steps_of(graph))
     back = chain[i[chain] > j[chain]]
-    ad = np.asarray(graph.lie.adjoint(jnp.asarray(measured[back])))
+    ad = adjoints(to_matrices(measured[back]))
     turned = covariance.copy()
     turned[back] = ad @ covariance[back] @ ad.swapaxes(1, 2)
     steps[np.minimum(i, j)[chain]] = turned[chain]
@@ -84,22 +84,20 @@ def _covariance(information, extent):
 def _confirmed(loops: Loops, dim: int) -> Bool[np.ndarray, " K"]:
     from scipy.spatial import cKDTree
 
-    ends = np.stack([np.asarray(loops.i), np.asarray(loops.j)], 1)
+    ends = np.stack([loops.i, loops.j], 1)
     count = len(ends)
     if count < 2:
         return np.zeros(count, bool)
-    near = cKDTree(ends).query(ends, min(_NEIGHBOURS + 1, count), p=1)[1]
-    one, other = np.repeat(np.arange(count), near.shape[1]), near.ravel()
-    distance, half = (np.asarray(x) for x in _pairs(loops, one, other))
-    distance = np.where(one == other, np.inf, distance).reshape(near.shape)
+    own = np.arange(count)[:, None]
+    near = np.broadcast_to(own, (count, _NEIGHBOURS + 1)).copy()
+    near[:, :count] = cKDTree(ends).query(ends, min(_NEIGHBOURS + 1, count), p=1)[1]
+    distance, half = cycles_with(loops, near)
+    distance = np.where(near == own, np.inf, distance)
     ball = pi ** (dim / 2) / gamma(dim / 2 + 1)
-    with np.errstate(over="ignore"):
-        chance = ball * distance ** (dim / 2) * np.exp(half.reshape(near.shape)) / _volume(loops, dim)
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # a path without extent says nothing
+        chance = ball * distance ** (dim / 2) * np.exp(half) / _volume(loops, dim)
     closes = distance <= CHI2_99[dim]
-    return (closes & (chance * count * (near.shape[1] - 1) < 1)).any(1)
-
-
-_pairs = jax.jit(cycle)
+    return (closes & (chance * count * min(_NEIGHBOURS, count - 1) < 1)).any(1)
 
 
 def _volume(loops, dim):

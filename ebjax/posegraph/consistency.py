@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ebjax.geometry.lie import GROUPS
 from ebjax.geometry.small_angle import small_matmul
+from ebjax.posegraph.capacity import capacity, concrete, filled
 from ebjax.posegraph.robust import CHI2_99
 
 _NODES, _WORK = 20_000, 10_000_000  # a node of the search costs as much work as there are closures, at most
@@ -24,12 +25,12 @@ _NODES, _WORK = 20_000, 10_000_000  # a node of the search costs as much work as
 class Loops(NamedTuple):
     """Closures to be compared, and the path between them; see `make_loops`."""
 
-    poses: Float[Array, "N P"]
-    walked: Float[Array, "N d d"]
-    i: Int[Array, " K"]
-    j: Int[Array, " K"]
-    i_from_j: Float[Array, "K P"]
-    covariance: Float[Array, "K d d"]
+    poses: Float[Array | np.ndarray, "N P"]
+    walked: Float[Array | np.ndarray, "N d d"]
+    i: Int[Array | np.ndarray, " K"]
+    j: Int[Array | np.ndarray, " K"]
+    i_from_j: Float[Array | np.ndarray, "K P"]
+    covariance: Float[Array | np.ndarray, "K d d"]
 
 
 def consistent_set(
@@ -83,19 +84,38 @@ def make_loops(
     Step errors are independent, so in the world frame they add up along the path: C_n = sum Ad Q Ad^T, and the
     odometry from m to n has covariance C_n - C_m.
     """
-    dtype = jnp.result_type(float)
-    return _make_loops(
-        *(jnp.asarray(x, dtype) for x in (odometry_poses, step_covariance)),
-        *(jnp.asarray(x) for x in (i, j)),
-        *(jnp.asarray(x, dtype) for x in (i_from_j, covariance)),
+    arrays = (odometry_poses, step_covariance, i_from_j, covariance)
+    if not concrete(arrays, i, j):
+        dtype = jnp.result_type(float)
+        traced = [jnp.asarray(x, dtype) for x in arrays]
+        return _make_loops(_centred(traced[0]), traced[1], jnp.asarray(i), jnp.asarray(j), *traced[2:])
+    poses, steps, measured, spread = (np.asarray(x, float) for x in arrays)
+    count, rows, size = len(poses), capacity(len(poses), "rows"), capacity(len(measured), "closures")
+    identity = _group(poses).identity
+    found = _make_loops(
+        filled(_centred(poses), rows, identity),
+        filled(steps, rows - 1),
+        filled(np.asarray(i, np.int32), size),
+        filled(np.asarray(j, np.int32), size),
+        filled(measured, size, identity),
+        filled(spread, size, np.eye(spread.shape[-1])),
     )
+    return _first(jax.tree.map(np.asarray, found), count, len(measured))
+
+
+def _first(loops, rows, closures):
+    return Loops(loops.poses[:rows], loops.walked[:rows], *(x[:closures] for x in loops[2:]))
+
+
+def _centred(poses):
+    place = slice(0, 2) if poses.shape[-1] == 3 else slice(4, 7)
+    away = poses[:, place].mean(0, keepdims=True)
+    return poses - away @ np.eye(poses.shape[-1])[place]
 
 
 @jax.jit
 def _make_loops(poses, steps, i, j, measured, covariance):
     lie = _group(poses)
-    place = slice(0, 2) if lie.dim == 3 else slice(4, 7)
-    poses = poses.at[:, place].add(-jnp.mean(poses[:, place], 0, keepdims=True))
     ad = lie.adjoint(poses[1:])
     walked = jnp.cumsum(small_matmul(small_matmul(ad, steps), ad.swapaxes(1, 2)), 0)
     back = (i > j)[:, None]
@@ -140,11 +160,46 @@ def cycle(loops: Loops, a: Int[Array, "*b"], b: Int[Array, "*b"]) -> tuple[Float
     return jnp.sum(white[..., 0] ** 2, -1), half
 
 
+def all_cycles(loops: Loops) -> Float[Array | np.ndarray, "K K"]:
+    """The distances of all pairs."""
+    if not concrete(loops):
+        return _all_cycles(loops)
+    count = len(loops.i)
+    return np.asarray(_all_cycles(_filled(loops)))[:count, :count]
+
+
 @jax.jit
-def all_cycles(loops: Loops) -> Float[Array, "K K"]:
-    """The distances of all pairs, row by row, so that thousands of closures fit into memory."""
+def _all_cycles(loops):
+    """Row by row, so that thousands of closures fit into memory."""
     every = jnp.arange(len(loops.i))
     return jax.lax.map(lambda a: cycle(loops, jnp.broadcast_to(a, every.shape), every)[0], every)
+
+
+def cycles_with(
+    loops: Loops, others: Int[np.ndarray, "K M"]
+) -> tuple[Float[np.ndarray, "K M"], Float[np.ndarray, "K M"]]:
+    """What `cycle` says of every closure with others, as many of each."""
+    count, full = len(others), _filled(loops)
+    distance, half = _cycles_with(full, filled(others.astype(np.int32), len(full.i)))
+    return np.asarray(distance)[:count], np.asarray(half)[:count]
+
+
+@jax.jit
+def _cycles_with(loops, others):
+    return cycle(loops, jnp.broadcast_to(jnp.arange(len(others))[:, None], others.shape), others)
+
+
+def _filled(loops):
+    rows, size = capacity(len(loops.poses), "rows"), capacity(len(loops.i), "closures")
+    identity = _group(loops.poses).identity
+    return Loops(
+        poses=filled(loops.poses, rows, identity),
+        walked=filled(loops.walked, rows),
+        i=filled(loops.i, size),
+        j=filled(loops.j, size),
+        i_from_j=filled(loops.i_from_j, size, identity),
+        covariance=filled(loops.covariance, size, np.eye(loops.covariance.shape[-1])),
+    )
 
 
 def largest_clique(

@@ -5,6 +5,9 @@ Minimises sum_k rho(r_k^T information_k r_k) (Early Bird, section III-D, with Ca
 dense or matrix-free Jacobian. Damping starts at 1e-5; it falls tenfold after a step that gains at least three
 quarters of what was predicted and grows fourfold after one that gains less than a quarter, tenfold after one that is
 refused, and faster when several are.
+
+A step is in three parts, `linearise`, then the linear solve, `moved` and `accept`, so that it can be one program, as
+in `minimise`, or be made from the host (`ebjax.posegraph.stepped`).
 """
 
 from dataclasses import dataclass
@@ -13,15 +16,15 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
-from ebjax.geometry.lie import GROUPS
-from ebjax.posegraph.assembly import assemble, damped
-from ebjax.posegraph.factors import edge_costs, gauss_newton_blocks
+from ebjax.posegraph.assembly import System, assemble, damped
+from ebjax.posegraph.factors import edge_costs, gauss_newton_blocks, squared_residuals
 from ebjax.posegraph.graph import PoseGraph
 from ebjax.posegraph.linear import Structure, linear_solve
-from ebjax.posegraph.robust import Width
+from ebjax.posegraph.robust import Width, rho
 
 STATUS = ("converged", "steps used up", "stalled at the largest damping", "not finite")
 _RUNNING = 1
@@ -34,13 +37,13 @@ _LATE = 1e-4  # predicted relative decrease below which the kernel's curvature e
 class _Edges(NamedTuple):
     """A graph without its poses: what travels through optimistix, which may put other things in place of arrays."""
 
-    i: Array
-    j: Array
-    measured: Array
-    information: Array
-    robust: Array
-    fixed: Array
-    position: Array | None
+    i: Any
+    j: Any
+    measured: Any
+    information: Any
+    robust: Any
+    fixed: Any
+    position: Any
 
     def graph(self, poses, group):
         return PoseGraph(poses, *self[:-1], group, self.position)
@@ -49,9 +52,10 @@ class _Edges(NamedTuple):
 class _State(NamedTuple):
     """`half` is half the cost of the iterate, `initial` of the start, `decrease` what the last accepted step gained.
 
-    `refused` counts the steps refused since.
+    `refused` counts the steps refused since; `floor` is what rounding of the poses alone makes of half the cost.
     """
 
+    floor: Float[Array, ""]
     late: Bool[Array, ""]
     half: Float[Array, ""]
     initial: Float[Array, ""]
@@ -62,13 +66,22 @@ class _State(NamedTuple):
     steps: Int[Array, ""]
 
 
-class _Levenberg(optx.AbstractLeastSquaresSolver):
+class Tried(NamedTuple):
+    """What a report says of a step: its number, the cost tried, whether it was accepted, and the damping."""
+
+    step: Int[Array, ""]
+    cost: Float[Array, ""]
+    accepted: Bool[Array, ""]
+    damping: Float[Array, ""]
+
+
+class Levenberg(optx.AbstractLeastSquaresSolver):
     """One step: linearise, solve, try, accept what lowers the cost.
 
-    Steps too small for their decrease to show above rounding are accepted too; `floor` is what rounding of the poses
-    alone makes of half the cost. The end is a step whose predicted and actual decrease are below `rtol` of the cost, or
-    after which that little is left to gain: while the model predicts well and decreases shrink tenfold or faster,
-    they are taken to go on shrinking at that rate, but not more than a hundredfold a step.
+    Steps too small for their decrease to show above rounding are accepted too. The end is a step whose predicted and
+    actual decrease are below `rtol` of the cost, or after which that little is left to gain: while the model predicts
+    well and decreases shrink tenfold or faster, they are taken to go on shrinking at that rate, but not more than a
+    hundredfold a step.
     """
 
     rtol: Any
@@ -78,40 +91,54 @@ class _Levenberg(optx.AbstractLeastSquaresSolver):
     edges: _Edges
     structure: Structure
     width: Width
-    floor: Float[Array, ""]
     group: str = eqx.field(static=True)
     kernel: str = eqx.field(static=True)
     report: Any = eqx.field(static=True)
 
-    def _linearise(self, poses, late):
-        graph = self.edges.graph(poses, self.group)
-        blocks = gauss_newton_blocks(graph, poses, self.kernel, self.width, late)
-        return assemble(graph, self.structure.pattern, blocks, self.structure.free)
-
     def init(self, fn, y, args, options, f_struct, aux_struct, tags):
         """Half the cost at the start."""
-        del options, f_struct, aux_struct, tags
-        half = _half(fn, y, args)
+        del fn, args, options, f_struct, aux_struct, tags
+        return self.begin(y, squared_residuals(self.edges.graph(y, self.group), y))
+
+    def begin(self, y: Float[Array, "N P"], squared: Float[Array, " E"]) -> _State:
+        """The state at `y`, of which the squared residuals are given."""
+        half = self._half(squared)
+        largest = jnp.max(jnp.abs(y), initial=1)
+        traces = jnp.trace(self.edges.information, axis1=1, axis2=2)
+        floor = jnp.sum(traces) * (jnp.finfo(y.dtype).eps * largest) ** 2
         damping, decrease = jnp.asarray(_FIRST_DAMPING, half.dtype), jnp.zeros((), half.dtype)
         status = jnp.where(jnp.isfinite(half), jnp.where(half > 0, _RUNNING, 0), 3)
         none = jnp.zeros((), jnp.int32)
-        return _State(jnp.asarray(False), half, half, decrease, damping, none, status.astype(jnp.int32), none)
+        return _State(floor, jnp.asarray(False), half, half, decrease, damping, none, status.astype(jnp.int32), none)
 
-    def step(self, fn, y, args, options, state, tags):
-        """Returns the next iterate, the next state, and nothing else."""
-        del options, tags
-        system, gradient = self._linearise(y, state.late)
+    def _half(self, squared):
+        return jnp.sum(jnp.where(self.edges.robust, rho(self.kernel, squared, self.width), squared)) / 2
+
+    def linearise(self, y: Float[Array, "N P"], state: _State) -> tuple[System, Float[Array, "N d"]]:
+        """H + damping I and the gradient of half the cost."""
+        graph = self.edges.graph(y, self.group)
+        blocks = gauss_newton_blocks(graph, y, self.kernel, self.width, state.late)
+        system, gradient = assemble(graph, self.structure.pattern, blocks, self.structure.free)
         running = state.status == _RUNNING  # in a batch the finished ones are carried along: NaN spares their factor
-        delta = linear_solve(self.structure, damped(system, jnp.where(running, state.damping, jnp.nan)), -gradient)
+        return damped(system, jnp.where(running, state.damping, jnp.nan)), gradient
+
+    def accept(
+        self,
+        y: Float[Array, "N P"],
+        state: _State,
+        gradient: Float[Array, "N d"],
+        delta: Float[Array, "N d"],
+        trial: Float[Array, "N P"],
+        squared: Float[Array, " E"],
+    ) -> tuple[Float[Array, "N P"], _State, Tried]:
+        """The next iterate, the next state, and what to report of a step to `trial`, with its squared residuals."""
         predicted = -jnp.sum(delta * gradient) / 2
-        lie = GROUPS[self.group]
-        trial = lie.compose(y, lie.exp(delta))
-        half = _half(fn, trial, args)
+        half = self._half(squared)
         eps = jnp.finfo(half.dtype).eps * (1e5 if half.dtype == jnp.float64 else 0)
-        noise = self.floor + eps * state.half
+        noise = state.floor + eps * state.half
         accept = (half <= state.half) | ((predicted <= noise) & (half <= state.half + noise))
         decrease = state.half - half
-        limit = self.rtol * state.half + self.floor
+        limit = self.rtol * state.half + state.floor
         small = accept & (decrease <= limit) & (predicted <= limit)
         rate = decrease / state.decrease
         left = decrease * jnp.maximum(rate, _FASTEST_RATE) / (1 - rate)
@@ -125,6 +152,7 @@ class _Levenberg(optx.AbstractLeastSquaresSolver):
         status = jnp.where(damping > _LARGEST_DAMPING, 2, _RUNNING)
         status = jnp.where(small | (half == 0), 0, status).astype(jnp.int32)
         new = _State(
+            state.floor,
             accept & (predicted < _LATE * half),
             jnp.where(accept, half, state.half),
             state.initial,
@@ -134,9 +162,17 @@ class _Levenberg(optx.AbstractLeastSquaresSolver):
             status,
             state.steps + 1,
         )
+        return jnp.where(accept, trial, y), new, Tried(new.steps, 2 * half, accept, state.damping)
+
+    def step(self, fn, y, args, options, state, tags):
+        """Returns the next iterate, the next state, and nothing else."""
+        del fn, args, options, tags
+        system, gradient = self.linearise(y, state)
+        delta = linear_solve(self.structure, system, -gradient)
+        y, new, tried = self.accept(y, state, gradient, delta, *moved(self.edges.graph(y, self.group), y, delta))
         if self.report is not None:
-            jax.debug.callback(self.report, new.steps, 2 * half, accept, state.damping)
-        return jnp.where(accept, trial, y), new, None
+            jax.debug.callback(self.report, *tried)
+        return y, new, None
 
     def terminate(self, fn, y, args, options, state, tags):
         """Whether a status other than running is reached, or all steps are used up."""
@@ -147,10 +183,6 @@ class _Levenberg(optx.AbstractLeastSquaresSolver):
         """Nothing to do."""
         del fn, args, options, state, tags, result
         return y, aux, {}
-
-
-def _half(fn, y, args):
-    return jnp.sum(fn(y, args)[0] ** 2) / 2
 
 
 @jax.tree_util.register_dataclass
@@ -173,6 +205,28 @@ class Solution:
     status: Int[Array, "*n"]
 
 
+def moved(
+    graph: PoseGraph, poses: Float[Array, "N P"], delta: Float[Array, "N d"]
+) -> tuple[Float[Array, "N P"], Float[Array, " E"]]:
+    """The poses after a step, and the squared residuals there."""
+    trial = graph.lie.compose(poses, graph.lie.exp(delta))
+    return trial, squared_residuals(graph, trial)
+
+
+def levenberg(
+    graph: PoseGraph,
+    structure: Structure,
+    kernel: str,
+    width: Width,
+    max_steps: int | Int[Array | np.ndarray, ""],
+    rtol: float | Float[Array | np.ndarray, ""],
+    report: Any = None,
+) -> Levenberg:
+    """The solver of a graph; all but `kernel` and `report` may be traced."""
+    edges = _Edges(graph.i, graph.j, graph.measured, graph.information, graph.robust, graph.fixed, graph.position)
+    return Levenberg(rtol, 0.0, optx.max_norm, max_steps, edges, structure, width, graph.group, kernel, report)
+
+
 def minimise(
     graph: PoseGraph,
     structure: Structure,
@@ -183,22 +237,21 @@ def minimise(
     report: Any = None,
 ) -> Solution:
     """Runs the loop; all but `kernel` may be traced. Not differentiable by itself: `adjoint.optimum` is."""
-    lie = graph.lie
-    parts = (graph.i, graph.j, graph.measured, graph.information, graph.robust, graph.fixed)
-    position = None if graph.position is None else jnp.asarray(graph.position)
-    edges = _Edges._make([*map(jnp.asarray, parts), position])
-    start = lie.normalise(jnp.asarray(graph.poses))
+    graph = jax.tree.map(jnp.asarray, graph)
+    start = graph.lie.normalise(graph.poses)
+    limits = jnp.asarray(max_steps, jnp.int32), jnp.asarray(rtol, start.dtype)
+    solver = levenberg(graph, structure, kernel, width, *limits, report)
 
     def residual(y, args):
         edges, width = args
         return jnp.sqrt(edge_costs(edges.graph(y, graph.group), y, kernel, width))
 
-    largest = jnp.max(jnp.abs(start), initial=1)
-    traces = jnp.trace(edges.information, axis1=1, axis2=2)
-    floor = jnp.sum(traces) * (jnp.finfo(start.dtype).eps * largest) ** 2
-    limits = (jnp.asarray(rtol, start.dtype), 0.0, optx.max_norm, jnp.asarray(max_steps, jnp.int32))
-    solver = _Levenberg(*limits, edges, structure, width, floor, graph.group, kernel, report)
-    found: optx.Solution = optx.least_squares(residual, solver, start, (edges, width), max_steps=None, throw=False)
-    state = found.state
-    poses = jnp.where(edges.fixed[:, None], graph.poses, lie.normalise(found.value))
+    args = (solver.edges, width)
+    found: optx.Solution = optx.least_squares(residual, solver, start, args, max_steps=None, throw=False)
+    return solution(graph, found.value, found.state)
+
+
+def solution(graph: PoseGraph, poses: Float[Array, "N P"], state: _State) -> Solution:
+    """What the loop found; `graph` has the poses it began with."""
+    poses = jnp.where(graph.fixed[:, None], graph.poses, graph.lie.normalise(poses))
     return Solution(poses, 2 * state.half, 2 * state.initial, state.steps, state.status)

@@ -30,11 +30,12 @@ _KEPT = 32
 class Structure(NamedTuple):
     """The symbolic part of a graph's solve: where blocks go, the linear solver's plan, and `fixed` with the gauge.
 
-    `held` are numbers of tangents that stay zero, as those of a landmark's rotation; None where there are none.
+    `held` are numbers of tangents that stay zero, as those of a landmark's rotation; None where there are none. No plan
+    is there in programs that leave the linear solve to the host.
     """
 
     pattern: Pattern
-    plan: elimination.Elimination | sparse.SparsePlan
+    plan: elimination.Elimination | sparse.SparsePlan | None
     fixed: Bool[Array | np.ndarray, " N"]
     held: Bool[Array | np.ndarray, "N d"] | None = None
 

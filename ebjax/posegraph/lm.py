@@ -10,9 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from ebjax.posegraph import stepped
 from ebjax.posegraph.adjoint import optimum
+from ebjax.posegraph.capacity import at_capacity, concrete, filled, on_host
 from ebjax.posegraph.consensus import RULES, believed
-from ebjax.posegraph.factors import squared_residuals
 from ebjax.posegraph.graph import PoseGraph, check
 from ebjax.posegraph.levenberg import Solution
 from ebjax.posegraph.linear import Structure, analyse
@@ -58,15 +59,24 @@ def solve(
       ValueError: unknown kernel or solver, wrong shapes, non-finite numbers, an information matrix with a negative
         eigenvalue, or rows that nothing determines (the last three only where the arrays are concrete).
     """
-    return _call(graph, kernel, width, max_steps, rtol, solver, structure, report, _solve)
+    prepared = _prepared(graph, kernel, width, solver, structure)
+    return prepared if isinstance(prepared, Solution) else _run(prepared, graph.group, kernel, max_steps, rtol, report)
 
 
 def cut_off(
-    graph: PoseGraph, poses: Float[Array, "N P"], *, kernel: str = "cauchy", width: float | None = None
+    graph: PoseGraph, poses: Float[Array | np.ndarray, "N P"], *, kernel: str = "cauchy", width: float | None = None
 ) -> Bool[np.ndarray, " E"]:
     """Robust edges that count for nothing at `poses`, which kernels that truncate have; the options as in `solve`."""
-    at = jnp.asarray(_default_width(graph, kernel) if width is None else width, jnp.asarray(poses).dtype)
-    return np.asarray(graph.robust) & (np.asarray(_weights(graph, poses, at, kernel)) == 0)
+    full = at_capacity(replace(graph, poses=poses))
+    squared = np.asarray(stepped.squared_residuals(full, full.poses))
+    at = np.asarray(_default_width(graph, kernel) if width is None else width, squared.dtype)
+    weights = _weights(squared, filled(at, len(squared), 1) if at.ndim else at, kernel)
+    return np.asarray(graph.robust) & (np.asarray(weights)[: len(graph.i)] == 0)
+
+
+@partial(jax.jit, static_argnames="kernel")
+def _weights(squared, width, kernel):
+    return weight(kernel, squared, width)
 
 
 def _default_width(graph, kernel):
@@ -76,14 +86,9 @@ def _default_width(graph, kernel):
     return np.where(np.asarray(graph.position), default_width(kernel, graph.lie.dim // 3 + 1), width)
 
 
-@partial(jax.jit, static_argnames="kernel")
-def _weights(graph, poses, width, kernel):
-    return weight(kernel, squared_residuals(graph, poses), width)
-
-
 def compile_solve(graph: PoseGraph, **options: Any) -> Callable[[], Solution]:
-    """Compiles `solve(graph, **options)` without running it, so that the two can be timed apart."""
-    prepared: dict[str, Any] = {
+    """Makes the programs of `solve(graph, **options)`, so that the two can be timed apart."""
+    given: dict[str, Any] = {
         "kernel": "cauchy",
         "width": None,
         "max_steps": 200,
@@ -92,23 +97,27 @@ def compile_solve(graph: PoseGraph, **options: Any) -> Callable[[], Solution]:
         "structure": None,
         "report": None,
     }
+    given |= options
+    prepared = _prepared(graph, *(given.pop(name) for name in ("kernel", "width", "solver", "structure")))
+    if isinstance(prepared, Solution):
+        return lambda: prepared
+    static = {"group": graph.group, "kernel": options.get("kernel", "cauchy")} | given
+    if on_host(prepared[1][4], prepared):
+        _run(prepared, **(static | {"max_steps": 1, "report": None}))
+        return lambda: _run(prepared, **static)
+    program = _solve.lower(*prepared, **static).compile()
+    return lambda: program(*prepared)
 
-    def compiled(*args, **static):
-        program = _solve.lower(*args, **static).compile()
-        return lambda: program(*args)
 
-    answer = _call(graph, function=compiled, **(prepared | options))
-    return (lambda: answer) if isinstance(answer, Solution) else answer
-
-
-def _call(graph, kernel, width, max_steps, rtol, solver, structure, report, function):
+def _prepared(graph, kernel, width, solver, structure):
+    """`params` and `rest` of `optimum`; the solution where there is nothing to solve."""
     check_kernel(kernel)
     check(graph)
-    dtype = jnp.asarray(graph.poses).dtype
+    dtype = jax.dtypes.canonicalize_dtype(graph.poses.dtype)
     width = _default_width(graph, kernel) if width is None else width
     if len(graph.poses) < 2 or len(graph.i) == 0:
-        zero, none = jnp.zeros((), dtype), jnp.zeros((), jnp.int32)
-        return Solution(jnp.asarray(graph.poses), zero, zero, none, none)
+        zero, none = np.zeros((), dtype), np.zeros((), np.int32)
+        return Solution(*jax.device_put((graph.poses, zero, zero, none, none)))
     information, first = graph.information, None
     if kernel in RULES:
         chosen = believed(graph, kernel)
@@ -116,12 +125,21 @@ def _call(graph, kernel, width, max_steps, rtol, solver, structure, report, func
         if kernel == "pcm":
             information = np.asarray(information) * (chosen.kept | ~chosen.loop)[:, None, None]
         else:
-            first = jnp.asarray(width * (chosen.kept if chosen.kept.any() else chosen.loop), dtype)
+            first = np.asarray(width * (chosen.kept if chosen.kept.any() else chosen.loop), dtype)
     if structure is None:
         structure = analyse(graph, solver, look=True)
-    params = tuple(jnp.asarray(x, dtype) for x in (graph.poses, graph.measured, information, width))
-    rest = (graph.i, graph.j, graph.robust, graph.position, structure, first)
-    return function(params, rest, group=graph.group, kernel=kernel, max_steps=max_steps, rtol=rtol, report=report)
+    numbers = (graph.poses, graph.measured, information, width)
+    cast = np.asarray if concrete(numbers) else jnp.asarray
+    params = tuple(cast(x, dtype) for x in numbers)
+    return params, (graph.i, graph.j, graph.robust, graph.position, structure, first)
+
+
+def _run(prepared, group, kernel, max_steps, rtol, report):
+    (poses, measured, information, width), (i, j, robust, position, structure, first) = prepared
+    if not on_host(structure, prepared):
+        return _solve(*prepared, group=group, kernel=kernel, max_steps=max_steps, rtol=rtol, report=report)
+    graph = PoseGraph(poses, i, j, measured, information, robust, structure.fixed, group, position)
+    return stepped.optimum(graph, structure, kernel, width, first, max_steps, rtol, report)
 
 
 @partial(jax.jit, static_argnames=("group", "kernel", "max_steps", "rtol", "report"))

@@ -8,10 +8,13 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ebjax.posegraph.assembly import assemble
+from ebjax.posegraph.capacity import at_capacity, on_host, structure_at_capacity
 from ebjax.posegraph.factors import gauss_newton_blocks
 from ebjax.posegraph.graph import PoseGraph
 from ebjax.posegraph.linear import Structure, analyse, linear_solve
+from ebjax.posegraph.matrices import adjoints, to_matrices
 from ebjax.posegraph.robust import check_kernel
+from ebjax.posegraph.sparse import solve_now
 
 _TOGETHER = 32  # poses or pairs that share one factorisation
 
@@ -37,6 +40,9 @@ def marginals(
     _check_rows(graph, rows)
     check_kernel(kernel)
     structure = analyse(graph, solver, look=True) if structure is None else structure
+    if on_host(structure, graph, rows, width):
+        rows, none = np.asarray(rows), np.zeros((len(rows), graph.lie.dim, graph.lie.dim))
+        return _on_host(graph, rows, rows, none, width, structure, kernel)
     return _marginals(graph, jnp.asarray(rows), jnp.asarray(width, jnp.asarray(graph.poses).dtype), structure, kernel)
 
 
@@ -65,6 +71,9 @@ def relative_marginals(
         _check_rows(graph, rows)
     check_kernel(kernel)
     structure = analyse(graph, solver, look=True) if structure is None else structure
+    if on_host(structure, graph, a, b, width):
+        a, b, poses = np.asarray(a), np.asarray(b), to_matrices(np.asarray(graph.poses))
+        return _on_host(graph, a, b, -adjoints(np.linalg.inv(poses[b]) @ poses[a]), width, structure, kernel)
     width = jnp.asarray(width, jnp.asarray(graph.poses).dtype)
     return _relative_marginals(graph, jnp.asarray(a), jnp.asarray(b), width, structure, kernel)
 
@@ -72,6 +81,32 @@ def relative_marginals(
 def _check_rows(graph, rows):
     if not isinstance(rows, jax.core.Tracer) and len(rows) and not 0 <= min(rows) <= max(rows) < len(graph.poses):
         raise ValueError(f"rows go from 0 to {len(graph.poses) - 1}; got {min(rows)} to {max(rows)}")
+
+
+@partial(jax.jit, static_argnames="kernel")
+def _system(graph, structure, width, kernel):
+    blocks = gauss_newton_blocks(graph, jnp.asarray(graph.poses), kernel, width)
+    return assemble(graph, structure.pattern, blocks, structure.free)[0]
+
+
+def _on_host(graph, a, b, from_a, width, structure, kernel):
+    """G H^-1 G^T of every pair of rows, G = (from_a, I); the program is that of the graph's capacity."""
+    dtype, d = jax.dtypes.canonicalize_dtype(graph.poses.dtype), graph.lie.dim
+    system = _system(at_capacity(graph), structure_at_capacity(structure), np.asarray(width, dtype), kernel)
+    fixed = np.asarray(structure.fixed)[:, None]
+    free = np.broadcast_to(~(fixed if structure.held is None else fixed | structure.held), (len(fixed), d))
+    out = np.zeros((len(a), d, d), dtype)
+    for begin in range(0, len(a), _TOGETHER):
+        some = slice(begin, begin + _TOGETHER)
+        p, q, by_p = a[some], b[some], from_a[some]
+        pair = np.arange(len(p))
+        right = np.zeros((len(p), d, len(free), d))
+        right[pair, :, p] += by_p * free[p][:, None]
+        right[pair, :, q] += np.eye(d) * free[q][:, None]
+        columns = solve_now(structure.plan, system, right)
+        covariance = columns[pair, :, q] + columns[pair, :, p] @ by_p.swapaxes(1, 2)
+        out[some] = (covariance + covariance.swapaxes(1, 2)) / 2
+    return jax.device_put(out)
 
 
 def _inverse(graph, width, structure, kernel):

@@ -135,3 +135,18 @@ def solve(plan: SparsePlan, system: System, right: Float[Array, "N d"]) -> Float
     result = jax.ShapeDtypeStruct(right.shape, right.dtype)
     arrays = (plan.key, plan.indices, plan.indptr, values, right)
     return host_call(_factor_and_solve, (plan.factor,), result, *arrays)
+
+
+def solve_now(
+    plan: SparsePlan, system: System, right: Float[Array | np.ndarray, "*n R d"]
+) -> Float[np.ndarray, "*n R d"]:
+    """As `solve`, of concrete arrays and many right sides; rows beyond the plan's, which nothing joins, give zero."""
+    right = np.asarray(right)
+    d = right.shape[-1]
+    rows = (len(plan.indptr) - 1) // d
+    diagonal, off = np.asarray(system.diagonal)[:rows], np.asarray(system.off)
+    values = np.concatenate([diagonal.ravel(), off.ravel()])[np.asarray(plan.source)[: plan.indptr[-1]]]
+    key, indices, indptr = (np.asarray(x) for x in (plan.key, plan.indices, plan.indptr))
+    out = np.zeros_like(right)
+    out[..., :rows, :] = _factor_and_solve(plan.factor, key, indices, indptr, values[None], right[..., :rows, :])
+    return out

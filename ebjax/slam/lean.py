@@ -4,22 +4,22 @@ Odometry from wheels and an IMU knows how the robot nods; visual odometry that d
 """
 
 import dataclasses
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from ebjax.features.extractor import Extractor
-from ebjax.features.landmarks import take
-from ebjax.features.verify_pairs import verify_blocks
 from ebjax.geometry.camera import Camera
 from ebjax.geometry.lean_numbers import levels_from_usual
 from ebjax.geometry.planar import between
 from ebjax.odometry.nods import bent_pairs, nods
 from ebjax.places.descriptor import Descriptor
-from ebjax.slam.describe import Described
-from ebjax.slam.keyframes import Load, describe_keyframes
+from ebjax.slam.look import Eyes, Looked
+from ebjax.slam.packed import packed
+from ebjax.slam.recording import Load
+from ebjax.slam.store import InMemory
 from ebjax.views.depth_floor import floor_planes
 from ebjax.views.run_view import RunView
 
@@ -80,32 +80,31 @@ def used(lean: Lean | None) -> Float[np.ndarray, "F 4 4"] | None:
     return lean.level_from_base if lean is not None and lean.used else None
 
 
-@dataclasses.dataclass(frozen=True)
-class Look:
-    """Keyframes as they were looked at: numbers, descriptions, and the camera, view and lean that were believed."""
-
-    keyframes: Int[np.ndarray, " N"]
-    described: Described
-    camera: Camera
-    view: RunView
-    lean: Lean | None = None
+def image_level(lean: Lean | None) -> Float[np.ndarray, "F 4 4"] | None:
+    """level_from_base where it is used of whole images: what floor views say of a lean says little in turns."""
+    return None if lean is None or lean.by == "floor" else used(lean)
 
 
 def shown_by_the_floor(
-    seen: Look, timestamps: Float[np.ndarray, " F"], wheels: Float[np.ndarray, "F 3"] | None, seed: int
+    looked: Looked,
+    start: int,
+    frames: Int[np.ndarray, " N"],
+    timestamps: Float[np.ndarray, " F"],
+    wheels: Float[np.ndarray, "F 3"] | None,
+    seed: int,
 ) -> Float[np.ndarray, "F 4 4"] | None:
     """How the robot leans at every frame, solved from successive floor views; None where that is next to nothing."""
-    frames, count = seen.keyframes, len(seen.keyframes)
+    count = len(frames)
     gaps = [gap for gap in GAPS if gap < count]
     i = np.concatenate([np.arange(gap, count) for gap in gaps])
     j = np.concatenate([np.arange(count - gap) for gap in gaps])
-    matches = bent_pairs(seen.described.landmarks, seen.view, seen.camera, i, j, seed)
+    matches = bent_pairs(lambda rows: looked.stacked_landmarks(start + rows), looked.view, looked.camera, i, j, seed)
     counted = None
     if wheels is not None:
         steps = between(wheels[frames[i]], wheels[frames[j]])
         far = np.hypot(steps[:, 0], steps[:, 1])[:, None]
         counted = steps, WHEELS * far + WHEELS_M + np.array([[0.0, 0.0, WHEELS]]) * np.abs(steps[:, 2:])
-    found = nods(matches, i, j, count, seen.camera, times=timestamps[frames], wheels=counted)
+    found = nods(matches, i, j, count, looked.camera, times=timestamps[frames], wheels=counted)
     known = found.sigma.max(1) < np.radians(KNOWN_DEG)
     lean = np.where(known[:, None], found.lean, 0.0)
     if not known.any() or np.degrees(np.sqrt((lean[known] ** 2).sum(1).mean())) < LEAST_DEG:
@@ -165,30 +164,14 @@ class Asked:
     ) -> int:
         """Matches of all pairs of frames that agree to 1 cm, where the robot leans so, or sees by another camera."""
         camera = camera or self.camera
-        view = self.view_of(camera)
-        chosen = [
-            frame for frame in sorted({frame for pair in pairs for frame in pair}) if self.load(frame) is not None
-        ]
-        if len(chosen) < 2:
-            return 0
-        read, described = describe_keyframes(
-            self.load, chosen, camera, view, self.extractor, self.descriptor, _silent, level_from_base
-        )
-        row = {frame: k for k, frame in enumerate(read.tolist())}
-        rows = np.array([(row[i], row[j]) for i, j in pairs if i in row and j in row], int).reshape(-1, 2)
-        marks = described.landmarks
-        verified = verify_blocks(
-            lambda a, b, _: (take(marks, a), take(marks, b)),
-            view,
-            camera,
-            rows[:, 0],
-            rows[:, 1],
-            np.zeros(len(rows), bool),
-            tolerance_m=TOLERANCE_M,
-            seed=self.seed,
-        )[0]
-        return int(verified.inliers.sum())
-
-
-def _silent(items: Iterable, total: int, label: str) -> Iterator:
-    return iter(items)
+        images = {frame: self.load(frame) for frame in sorted({frame for pair in pairs for frame in pair})}
+        eyes, store = Eyes(camera, self.view_of(camera), self.extractor, self.descriptor), InMemory()
+        row: dict[int, int] = {}
+        for frame, image in images.items():
+            if image is not None:
+                level = None if level_from_base is None else level_from_base[frame]
+                row[frame] = len(store)
+                store.keep(packed(eyes.describe(*image, level)))
+        looked = Looked(store, eyes.view, camera, self.extractor.turn, TOLERANCE_M, self.seed)
+        known = [(row[i], row[j]) for i, j in pairs if i in row and j in row]
+        return int(looked.pairs(*np.array(known, int).reshape(-1, 2).T).inliers.sum())

@@ -44,7 +44,7 @@ def closeness(mask: Bool[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
 def mosaic(
     views: Iterable[UInt8[np.ndarray, "h w 3"]],
     mask: Bool[np.ndarray, "h w"],
-    floor_from_view: Float[np.ndarray, "3 3"],
+    floor_from_view: Float[np.ndarray, "... 3 3"],
     world_from_base: Float[np.ndarray, "N 3"],
     *,
     masks: Iterable[Bool[np.ndarray, "h w"]] | None = None,
@@ -55,7 +55,7 @@ def mosaic(
     Args:
       views: N floor views in the order of the poses; a generator keeps memory small.
       mask: pixels of a view that the camera sees.
-      floor_from_view: view pixel (u, v, 1) -> (x, y, 1) in base, m.
+      floor_from_view: view pixel (u, v, 1) -> (x, y, 1) in base, m; of all views, or of each.
       world_from_base: x, y (m) and heading (rad) of every view.
       masks: of each view, pixels that show floor and not a wall, where that is known (from depth).
       metres_per_px: of the map; made coarser where the map would exceed MAX_PIXELS.
@@ -65,7 +65,7 @@ def mosaic(
     """
     if not len(world_from_base) or not mask.any():
         raise ValueError("the floor map needs at least one view with a mask that is not empty")
-    world_from_view = _planar(world_from_base) @ floor_from_view[None]
+    world_from_view = _planar(world_from_base) @ floor_from_view
     corners = _corners(mask, world_from_view)
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     scale = max(metres_per_px, math.sqrt(float(np.prod(high - low)) / MAX_PIXELS))
@@ -75,7 +75,7 @@ def mosaic(
     )
 
     # Views finer than the map are averaged down first: sampling them would alias.
-    view_scale = math.sqrt(abs(np.linalg.det(floor_from_view[:2, :2])))
+    view_scale = math.sqrt(np.abs(np.linalg.det(floor_from_view[..., :2, :2])).mean())
     shrink = min(max(1, round(scale / view_scale)), *mask.shape)
     view_from_small = np.array([[shrink, 0, (shrink - 1) / 2], [0, shrink, (shrink - 1) / 2], [0, 0, 1]])
     height, width = (side // shrink * shrink for side in mask.shape)

@@ -2,8 +2,7 @@
 
 from collections.abc import Sequence
 
-from ebjax.slam.pipeline import CONTRADICTED
-from ebjax.slam.select import THINNED
+from ebjax.slam.believe import CONTRADICTED, THINNED
 
 REMEDIES = (
     ("inlier", "their floor shows too little that is its own; look at floor_map.png, or try --extractor rootsift"),

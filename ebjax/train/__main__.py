@@ -21,6 +21,7 @@ from ebjax.train import processes
 TASKS = {
     "floornet": "ebjax.train.floornet",
     "finetune": "ebjax.train.finetune",
+    "words": "ebjax.train.words",
     "throughput": "ebjax.train.throughput",
     "calibrate": "ebjax.train.calibrate",
     "end_to_end": "ebjax.train.end_to_end",

@@ -16,7 +16,6 @@ from jaxtyping import Float
 
 from ebjax.command import dump_config, progress
 from ebjax.evaluation.run import spread_rows
-from ebjax.floors.__main__ import render_sequence
 from ebjax.floors.robot import RobotConfig
 from ebjax.floors.sequence import CorridorConfig
 from ebjax.geometry.camera import Camera, camera_from
@@ -25,6 +24,7 @@ from ebjax.io.atomic import whole_folder
 from ebjax.io.camera_file import CameraFile, write_camera
 from ebjax.io.frames import Frames
 from ebjax.io.sequence import Sequence, require_odometry
+from ebjax.mapping.open_run import camera_source, open_run
 from ebjax.odometry.wheels import WheelErrors
 from ebjax.slam.world import planar
 from ebjax.train.calibrate_camera import (
@@ -39,9 +39,10 @@ from ebjax.train.calibrate_camera import (
 )
 from ebjax.train.calibrate_fit import calibrate
 from ebjax.train.calibrate_report import Tried, lines, report
-from ebjax.train.own_run import OwnRun, camera_source, log_flags, open_run
+from ebjax.train.own_run import OwnRun, log_flags
 from ebjax.views.depth_floor import camera_from_depth
 from ebjax.views.run_view import choose_floor
+from ebjax.worlds.render import render_sequence
 
 DEPTH_IMAGES = 9
 DEPTH_SIGMA = (np.radians(0.2), np.radians(0.2), 0.01)

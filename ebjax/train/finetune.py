@@ -15,13 +15,14 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 from flax import nnx
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Bool, Float, Int, Key, UInt8
 
 from ebjax.command import progress
 from ebjax.geometry.camera import camera_from
 from ebjax.io.atomic import whole_file
 from ebjax.io.frames import Frames
 from ebjax.io.sequence import require_odometry
+from ebjax.mapping.open_run import camera_source, open_run
 from ebjax.models.eye import Eye
 from ebjax.models.floornet import FloorNet, fitted, open_floornet
 from ebjax.models.luma import luma
@@ -30,12 +31,14 @@ from ebjax.places.recall import facing_pairs, precision_100, recall_at_1
 from ebjax.places.retrieve import comparable
 from ebjax.places.search import search
 from ebjax.posegraph.init import to_matrices
-from ebjax.slam.pipeline import PipelineConfig, Result
+from ebjax.slam.config import PipelineConfig
 from ebjax.slam.pipeline import run as run_pipeline
+from ebjax.slam.recording import Recording
+from ebjax.slam.run import Run
 from ebjax.slam.world import planar
 from ebjax.train.floornet import WEIGHTS, Temperatures, Weights, objective, save_network
 from ebjax.train.loop import LoopConfig, Task, fit
-from ebjax.train.own_run import OwnRun, camera_source, open_run
+from ebjax.train.own_run import OwnRun
 from ebjax.train.views import Pairs
 from ebjax.views.run_view import RunView, choose_floor, from_camera
 
@@ -91,7 +94,7 @@ class Taught:
     along_m: Float[np.ndarray, " P"]
 
 
-def taught(result: Result, view: RunView, reach_m: float) -> Taught:
+def taught(result: Run, view: RunView, reach_m: float) -> Taught:
     """What the accepted closures of a run say about pairs of its views.
 
     Raises:
@@ -100,7 +103,7 @@ def taught(result: Result, view: RunView, reach_m: float) -> Taught:
     kept = result.kept
     if kept.sum() < MIN_CLOSURES:
         raise ValueError(f"slam accepts {int(kept.sum())} closures on this run; to learn from it takes {MIN_CLOSURES}")
-    poses = np.asarray(result.solution.poses)[result.keyframes]
+    poses = result.poses[result.keyframes]
     centres = np.einsum("nij,j->ni", to_matrices(poses), np.append(view.centre_m, 1.0))[:, :2]
     row = {int(frame): k for k, frame in enumerate(result.keyframes)}
     trusted = centres[[row[int(frame)] for frame in result.candidates.i[kept]]]
@@ -108,7 +111,7 @@ def taught(result: Result, view: RunView, reach_m: float) -> Taught:
     later, earlier = np.nonzero(facing_pairs(poses, view.centre_m, reach_m) & near[:, None])
 
     fit_views = jax.jit(jax.vmap(partial(_fit, seen=np.asarray(view.seen))))
-    views = np.asarray(fit_views(jnp.asarray(result.described.view)))
+    views = np.asarray(fit_views(jnp.asarray(seen_views(result))))
     seen = np.asarray(fitted(jnp.zeros(view.seen.shape, jnp.float32), jnp.asarray(view.seen, jnp.float32))[1])
     height, width = seen.shape
     stretch = np.array([width / view.seen.shape[1], height / view.seen.shape[0]])
@@ -120,6 +123,11 @@ def taught(result: Result, view: RunView, reach_m: float) -> Taught:
     warp = turned @ np.linalg.inv(floor_from_fitted) @ moved @ floor_from_fitted
     travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1))])
     return Taught(views, seen, poses, later, earlier, warp, travelled[earlier])
+
+
+def seen_views(result: Run) -> UInt8[np.ndarray, "K h w 3"]:
+    """The floor views of all keyframes."""
+    return np.stack([result.seen(k) for k in range(len(result.keyframes))])
 
 
 def _fit(view, seen):
@@ -170,11 +178,11 @@ def _optimiser(config: Config) -> optax.GradientTransformation:
 
 
 def recall(
-    network: FloorNet, result: Result, truth: Float[np.ndarray, "K 3"], view: RunView, asked: Bool[np.ndarray, " K"]
+    network: FloorNet, result: Run, truth: Float[np.ndarray, "K 3"], view: RunView, asked: Bool[np.ndarray, " K"]
 ) -> dict[str, float]:
     """R@0.3 m, R@1 m and P100 of some keyframes, searched as slam does."""
     eye = Eye(network)
-    rows = zip(result.described.view, result.described.floor, strict=True)
+    rows = ((result.seen(k), result.floor(k)) for k in range(len(result.keyframes)))
     kept = [keep(eye(jnp.asarray(v, jnp.float32) / 255, jnp.asarray(s))) for v, s in rows]
     places = unite({name: np.stack([np.asarray(one[name]) for one in kept]) for name in kept[0]})
     travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(truth[:, :2], axis=0), axis=1))])
@@ -206,7 +214,9 @@ def run(config: Config, out: Path, *, resume: bool) -> None:
         raise ValueError(f"{camera_source(config, sequence)}: {fault}") from None
 
     odometry = planar(require_odometry(sequence, "fine-tuning"))
-    result = run_pipeline(frames.both, sequence.timestamps, odometry, camera, view, config.slam, progress)
+    result = run_pipeline(
+        Recording(frames.both, sequence.timestamps, odometry), camera, view, config.slam, progress=progress
+    )
     lesson = taught(result, view, config.reach_m)
     apart_m = view.extent_m / 2  # places that overlap more would be each other's rivals
     border = np.quantile(lesson.along_m, 1 - config.held_out)

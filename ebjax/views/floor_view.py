@@ -1,5 +1,7 @@
 """The floor from above: samples of the view in the image, the view itself, and what of it is clear floor."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 from jax.typing import DTypeLike
@@ -32,6 +34,7 @@ def clear_floor(depth_m: Float[Array, "H W"], view: RunView, camera: Camera) -> 
     return view.seen & ~standing.reshape(height, width)
 
 
+@partial(jax.jit, static_argnames="dtype")
 def view_taps(view: RunView, camera: Camera, dtype: DTypeLike = jnp.float32) -> Taps:
     """The samples of the supersampled view in the image, once for the run; differentiable in the view."""
     height, width = view.size

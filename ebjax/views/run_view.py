@@ -65,7 +65,8 @@ class RunView:
         return float(max(np.linalg.norm(a - c), np.linalg.norm(b - d)))
 
     def _on_floor(self, pixels: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N 2"]:
-        return np.asarray(apply(self.floor_from_view, pixels.astype(np.float64)))
+        x, y, w = np.asarray(self.floor_from_view, np.float64) @ np.column_stack([pixels, np.ones(len(pixels))]).T
+        return np.stack([x / w, y / w], 1)
 
 
 def choose_floor(camera: Camera, metres_per_px: float) -> FloorView:
@@ -169,8 +170,7 @@ def from_quad(
     homography = from_four_points(jnp.asarray(corners), ideal_from_raw(camera, quad))
     homography = orient(homography, corners.mean(0))
     seen = field_of_view(camera, homography, size, 1.0)
-    floor_from_image = jnp.linalg.inv(jnp.asarray(image_from_floor(camera), homography.dtype))
-    return RunView(homography, floor_from_image @ homography, seen)
+    return RunView(homography, _on_floor(camera, homography), seen)
 
 
 def without(view: RunView, camera: Camera, ignored: Bool[np.ndarray, "H W"]) -> RunView:
@@ -207,5 +207,10 @@ def without(view: RunView, camera: Camera, ignored: Bool[np.ndarray, "H W"]) -> 
 
 def remounted_view(view: RunView, mounted: Camera) -> RunView:
     """The same pixels of the image, where another mount of the camera puts them on the floor."""
-    floor_from_image = jnp.linalg.inv(jnp.asarray(image_from_floor(mounted), view.image_from_view.dtype))
-    return dataclasses.replace(view, floor_from_view=floor_from_image @ view.image_from_view)
+    return dataclasses.replace(view, floor_from_view=_on_floor(mounted, view.image_from_view))
+
+
+@jax.jit
+def _on_floor(camera, image_from_view):
+    floor_from_image = jnp.linalg.inv(jnp.asarray(image_from_floor(camera), image_from_view.dtype))
+    return floor_from_image @ image_from_view

@@ -5,12 +5,12 @@ from pathlib import Path
 from ebjax.io.logs.rtabmap import node_of
 from ebjax.io.logs.rtabmap_links import Closure, write_closures
 from ebjax.io.sequence import Sequence
-from ebjax.slam.pipeline import Result
+from ebjax.slam.run import Run
 
 NAME = "rtabmap.db"
 
 
-def write_rtabmap_copy(folder: Path, out: Path, sequence: Sequence, result: Result) -> tuple[str, ...]:
+def write_rtabmap_copy(folder: Path, out: Path, sequence: Sequence, result: Run) -> tuple[str, ...]:
     """Writes rtabmap.db where the log is an RTAB-Map database and closures were kept.
 
     Args:

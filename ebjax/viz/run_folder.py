@@ -16,9 +16,10 @@ from ebjax.geometry.homography import apply
 from ebjax.io.sequence import Sequence
 from ebjax.io.trajectory import write_tum
 from ebjax.posegraph.g2o import format_g2o
-from ebjax.slam.map import mosaic
-from ebjax.slam.pipeline import Load, Result
-from ebjax.slam.select import THINNED
+from ebjax.slam.believe import THINNED
+from ebjax.slam.map import FloorMap, mosaic
+from ebjax.slam.recording import Load
+from ebjax.slam.run import Run
 from ebjax.slam.world import matrices, planar
 from ebjax.views.run_view import RunView
 from ebjax.views.tilted import tilted
@@ -38,11 +39,11 @@ def write_run(
     folder: Path,
     sequence: Sequence,
     load: Load,
-    result: Result,
+    result: Run,
     metrics: dict[str, Any],
     map_metres_per_px: float,
-) -> None:
-    """Writes a run's results into a folder.
+) -> FloorMap:
+    """Writes a run's results into a folder; returns the floor map.
 
     Args:
       folder: exists.
@@ -58,10 +59,10 @@ def write_run(
     if sequence.odom_from_base is not None:
         poses[:, 2, 3] = sequence.odom_from_base[:, 2, 3]
     chosen = np.flatnonzero(kept)
-    seen = np.asarray(view.seen)
+    seen, rows = np.asarray(view.seen), range(len(result.keyframes))
     floor = mosaic(
-        iter(result.described.view), seen, np.asarray(view.floor_from_view, np.float64), after[result.keyframes],
-        masks=iter(result.described.floor), metres_per_px=map_metres_per_px,
+        map(result.seen, rows), seen, np.asarray(view.floor_from_view, np.float64), after[result.keyframes],
+        masks=map(result.floor, rows), metres_per_px=map_metres_per_px,
     )  # fmt: skip
     closures = np.stack([candidates.i[chosen], candidates.j[chosen]], 1)
     pngs = {
@@ -81,14 +82,16 @@ def write_run(
     if result.motion is not None:
         write_steps(folder / "steps.csv", sequence, result.motion)
     solved = dataclasses.replace(result.graph, poses=result.solution.poses)
-    (folder / "pose_graph.g2o").write_text(format_g2o(solved, result.path.frames))
+    ids = None if result.earlier.count else result.path.frames
+    (folder / "pose_graph.g2o").write_text(format_g2o(solved, ids))
     (folder / "metrics.json").write_text(json.dumps(metrics, indent=2) + "\n")
     (folder / "floor_map.png").write_bytes(pngs["floor_map"])
     (folder / "trajectory.png").write_bytes(pngs["trajectory"])
     (folder / "report.html").write_text(report(page), encoding="utf-8")
+    return floor
 
 
-def closure_row(sequence: Sequence, result: Result, k: int) -> list[Any]:
+def closure_row(sequence: Sequence, result: Run, k: int) -> list[Any]:
     """A kept closure as the report's table shows it."""
     c = result.candidates
     side = "the opposite side" if c.opposing[k] else "the same side"
@@ -97,7 +100,7 @@ def closure_row(sequence: Sequence, result: Result, k: int) -> list[Any]:
     return [sequence.names[c.i[k]], sequence.names[c.j[k]], side, *counts, x, y, float(np.degrees(heading))]
 
 
-def trajectory_figure(sequence: Sequence, result: Result, closures: np.ndarray) -> bytes:
+def trajectory_figure(sequence: Sequence, result: Run, closures: np.ndarray) -> bytes:
     """Before, after and truth; with truth, each path aligned to it as its ATE is."""
     if sequence.odom_from_base is None:
         before = result.path.everywhere(result.path.poses)[:, :2]
@@ -119,7 +122,7 @@ def trajectory_figure(sequence: Sequence, result: Result, closures: np.ndarray) 
     return figures.trajectory(aligned[0], aligned[1], truth, closures)
 
 
-def match_figure(sequence: Sequence, load: Load, result: Result, view: RunView, k: int) -> dict[str, Any] | None:
+def match_figure(sequence: Sequence, load: Load, result: Run, view: RunView, k: int) -> dict[str, Any] | None:
     """The raw images of a candidate with its matches, the earlier one turned by pi where the view is opposing."""
     candidates = result.candidates
     i, j = int(candidates.i[k]), int(candidates.j[k])
@@ -127,26 +130,27 @@ def match_figure(sequence: Sequence, load: Load, result: Result, view: RunView, 
     if images[0] is None or images[1] is None:
         return None
     points = []
-    for frame, rows in ((i, result.verified.query[k]), (j, result.verified.reference[k])):
-        keypoints = result.described.landmarks.features.keypoints[np.searchsorted(result.keyframes, frame)][rows]
+    verified = result.verified(k)
+    for frame, rows in ((i, verified.query), (j, verified.reference)):
+        keypoints = result.keypoints(frame)[rows]
         seen_by = view, result.camera
         if result.lean is not None and result.lean.used:
             seen_by = tilted(*seen_by, result.lean.level_from_base[frame])
         ideal = apply(seen_by[0].image_from_view, jnp.asarray(keypoints, jnp.float64))
         points.append(np.asarray(raw_from_ideal(seen_by[1], ideal)))
-    used = np.asarray(result.verified.matched[k])
+    used = np.asarray(verified.matched)
     caption = (
         f"{sequence.names[i]} and {sequence.names[j]}: {candidates.inliers[k]} of {candidates.total[k]} matches agree; "
         f"{result.reasons[k]}."
     )
     png = figures.matches(
-        images[0][0], images[1][0], points[0][used], points[1][used], np.asarray(result.verified.inliers[k])[used],
+        images[0][0], images[1][0], points[0][used], points[1][used], np.asarray(verified.inliers)[used],
         turn_second=bool(candidates.opposing[k]),
     )  # fmt: skip
     return {"png": png, "caption": caption}
 
 
-def write_closures(path: Path, sequence: Sequence, result: Result) -> None:
+def write_closures(path: Path, sequence: Sequence, result: Run) -> None:
     """Every verified candidate: where, how alike, what was measured, and whether and why it counts."""
     c = result.candidates
     with open(path, "w", newline="", encoding="utf-8") as file:

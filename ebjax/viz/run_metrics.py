@@ -8,7 +8,7 @@ import numpy as np
 from ebjax.evaluation.run import closure_errors, closure_summary, drift, reason_counts, trajectory_errors
 from ebjax.io.sequence import Sequence
 from ebjax.places.recall import facing_pairs, precision_100, recall_at_1
-from ebjax.slam.pipeline import Result
+from ebjax.slam.run import Run
 from ebjax.slam.why import why_nothing
 from ebjax.slam.world import planar
 from ebjax.viz.motion import motion_lines, motion_metrics
@@ -16,7 +16,7 @@ from ebjax.viz.motion import motion_lines, motion_metrics
 PAPER_RADIUS = 1 / 15
 
 
-def run_metrics(sequence: Sequence, broken: Mapping[str, str], result: Result) -> dict[str, Any]:
+def run_metrics(sequence: Sequence, broken: Mapping[str, str], result: Run) -> dict[str, Any]:
     """What metrics.json says, times apart."""
     candidates, kept = result.candidates, result.kept
     before = result.path.everywhere(result.path.poses)
@@ -58,10 +58,8 @@ def run_metrics(sequence: Sequence, broken: Mapping[str, str], result: Result) -
         metrics |= {"drift": drift(truth, before)}
     errors = closure_errors(truth[candidates.i], truth[candidates.j], candidates.i_from_j)
     metrics |= closure_summary(errors, kept)
-    valid, opposing, distance = (
-        np.asarray(column)[:, 0] for column in (result.ranked.valid, result.ranked.opposing, result.ranked.distance)
-    )
-    first = np.where(valid, np.asarray(result.ranked.j)[:, 0], -1)
+    first, opposing, distance = result.firsts.j, result.firsts.opposing, result.firsts.distance
+    valid = first >= 0
     for name, radius in (("1m", 1.0), ("0.3m", 0.3), ("paper", travelled * PAPER_RADIUS)):
         pairs = facing_pairs(truth[result.keyframes], result.view.centre_m, radius)
         share, queries = recall_at_1(first, opposing, pairs)

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from ebjax.floors.atlas import GUTTER, make_atlas
+from ebjax.floors.atlas import make_atlas
+from ebjax.floors.laying import GUTTER
 
 
 @pytest.fixture(scope="module")
@@ -13,5 +14,5 @@ def any_floor():
         return make_atlas(image, [GUTTER], plan, config.texel_m)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("ebjax.floors.atlas.floor_of", floor_of)
+        patch.setattr("ebjax.floors.laying.floor_of", floor_of)
         yield

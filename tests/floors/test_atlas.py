@@ -4,7 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ebjax.floors.atlas import floor_of, locate, look, make_atlas
+from ebjax.floors.atlas import locate, look, make_atlas
+from ebjax.floors.laying import floor_of
 from ebjax.floors.plan import make_plan
 from ebjax.floors.surface import FloorConfig
 

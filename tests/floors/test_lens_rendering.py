@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from ebjax.floors.__main__ import render_sequence
 from ebjax.floors.atlas import make_atlas
 from ebjax.floors.cameras import CameraConfig
 from ebjax.floors.obstacles import no_boxes, no_posts
@@ -24,6 +23,7 @@ from ebjax.geometry.camera import camera_over_floor, project, raw_from_ideal
 from ebjax.geometry.lens import PINHOLE, lens
 from ebjax.io.camera_file import CameraFile, read_camera, write_camera
 from ebjax.io.logs.open import open_log
+from ebjax.worlds.render import render_sequence
 
 X_MIN, X_MAX, WIDTH, TEXEL = -2.0, 8.0, 2.4, 0.02
 SHAPE = round(WIDTH / TEXEL), round((X_MAX - X_MIN) / TEXEL)

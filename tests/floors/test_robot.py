@@ -128,3 +128,14 @@ def test_wheels_drift_as_their_names_say(name):
 def test_bad_values_name_their_key(key, value):
     with pytest.raises(ValueError, match=f"robot.{key} is"):
         check(replace(RobotConfig(), **{key: value}))
+
+
+@pytest.mark.parametrize("spread", [0.05, 0.2, 0.4])
+def test_passes_spread_over_their_lanes(spread):
+    config = RobotConfig(passes=20, weave_m=0.0, lateral_spread_m=spread)
+    poses, passes = drive(config, np.random.default_rng(0))
+    y = np.array([poses[(passes == p) & (np.abs(poses[:, 0] - 5) < 1), 1].mean() for p in range(20)])
+    off = np.where(np.arange(20) % 2, -y - config.lateral_offset_m, y)
+    assert np.abs(off).max() <= spread + 1e-6 and np.ptp(off) > 1.2 * spread
+    ends = poses[np.flatnonzero(np.diff(passes))]
+    assert np.abs(ends[:, 1]).max() < 1e-9

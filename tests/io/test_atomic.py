@@ -2,7 +2,7 @@ import resource
 
 import pytest
 
-from ebjax.io.atomic import whole_file, whole_folder
+from ebjax.io.atomic import resumed_folder, whole_file, whole_folder
 
 
 def contents(folder):
@@ -81,3 +81,28 @@ def test_a_full_disk_is_told_with_the_name_of_the_file(tmp_path):
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert contents(tmp_path) == {}
+
+
+@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
+def test_an_interrupted_folder_is_gone_on_with(tmp_path, error):
+    with pytest.raises(error), resumed_folder(tmp_path / "a" / "run") as folder, whole_file(folder / "x" / "1") as file:
+        file.write("half")
+        raise error
+    with pytest.raises(error), resumed_folder(tmp_path / "a" / "run") as folder:
+        (folder / "x" / "1").write_text("whole")
+        (folder / "x" / ".2.12345678.partial").write_text("as a killed process leaves it")
+        raise error
+    with resumed_folder(tmp_path / "a" / "run") as folder:
+        assert contents(tmp_path) == {"a/.run.partial/x/1": "whole"}
+        (folder / "x" / "2").write_text("2")
+    assert contents(tmp_path) == {"a/run/x/1": "whole", "a/run/x/2": "2"}
+
+
+def test_a_folder_that_is_full_is_not_gone_on_with(tmp_path):
+    (tmp_path / "empty").mkdir()
+    with resumed_folder(tmp_path / "empty") as folder:
+        (folder / "x").write_text("1")
+    for taken in ("empty", "empty/x"):
+        with pytest.raises(OSError, match="name another folder"), resumed_folder(tmp_path / taken):
+            pass
+    assert contents(tmp_path) == {"empty/x": "1"}

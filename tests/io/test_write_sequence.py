@@ -1,3 +1,5 @@
+import contextlib
+
 import numpy as np
 import pytest
 
@@ -41,3 +43,22 @@ def test_an_interrupted_run_leaves_nothing(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         write_sequence(tmp_path / "run", *arguments(6), CAMERA, breaks)
     assert not list(tmp_path.iterdir())
+
+
+def test_an_interrupted_run_is_gone_on_with_where_that_is_asked_for(tmp_path):
+    made = []
+
+    def breaks(i):
+        if i == 3 and 3 not in made:
+            made.append(i)
+            raise KeyboardInterrupt
+        made.append(i)
+        return frame(i)
+
+    for interrupted in (True, False):
+        with pytest.raises(KeyboardInterrupt) if interrupted else contextlib.nullcontext():
+            write_sequence(tmp_path / "run", *arguments(6), CAMERA, breaks, threads=1, resume=True)
+    assert sorted(made) == [0, 1, 2, 3, 3, 4, 5] and [file.name for file in tmp_path.iterdir()] == ["run"]
+    write_sequence(tmp_path / "other", *arguments(6), CAMERA, frame)
+    for file in (tmp_path / "run").rglob("*.*"):
+        assert file.read_bytes() == (tmp_path / "other" / file.relative_to(tmp_path / "run")).read_bytes()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ebjax.features.settle import PairMatches
-from ebjax.features.verify_pairs import settle_blocks
+from ebjax.features.verify_pairs import rows_of, settle_all
 from ebjax.geometry.camera import camera_over_floor, project
 from ebjax.geometry.planar import between, chained, compose
 from ebjax.odometry.floor_steps import (
@@ -12,7 +12,6 @@ from ebjax.odometry.floor_steps import (
     NOT_THE_FLOOR,
     NOT_THE_WHEELS,
     FloorPairs,
-    measured,
     table_of,
     without_body,
     without_contradiction,
@@ -44,7 +43,7 @@ def wheels_of(step, count=COUNT):
 def views_of(count=COUNT):
     """A texture that moves by."""
     texture = np.random.default_rng(0).integers(0, 256, (24, 24 + 8 * count, 3), np.uint8)
-    return np.stack([texture[:, 8 * k : 8 * k + 24] for k in range(count)])
+    return [texture[:, 8 * k : 8 * k + 24] for k in range(count)]
 
 
 def stood_still(wheels, at=FIFTH):
@@ -71,7 +70,7 @@ def test_a_frozen_camera_says_nothing():
 def test_a_robot_that_is_stuck_is_believed():
     wheels, views = wheels_of((0.15, 0, 0)), views_of()
     noise = np.random.default_rng(1).integers(-3, 4, views[0].shape)
-    views[FIFTH] = np.clip(views[FIFTH - 1].astype(int) + noise, 0, 255)
+    views[FIFTH] = np.clip(views[FIFTH - 1].astype(int) + noise, 0, 255).astype(np.uint8)
     steps = stood_still(wheels)
     np.testing.assert_array_equal(without_body(steps, wheels, views, ERRORS).reason, steps.reason)
 
@@ -182,6 +181,11 @@ def test_without_depth_the_floor_measures():
     assert (np.linalg.eigvalsh(covariance) > 0).all()
 
 
+def measured(matches, camera, tolerance_m, trust=False):
+    count = np.arange(len(matches.start))
+    return FloorPairs(count, count, count, count, rows_of(matches)).measured(camera, tolerance_m, trust)
+
+
 def test_few_points_with_depth_do_not_count():
     for trust in (False, True):
         assert not measured(pairs_of(MIN_DEPTH - 1), CAMERA, 0.02, trust)[2].any()
@@ -192,8 +196,9 @@ def test_few_points_with_depth_do_not_count():
 def test_untrusted_depth_is_taken_where_it_is_more_certain(deep):
     matches = pairs_of(deep)
     i_from_j, covariance, by_depth = measured(matches, CAMERA, 0.02)
-    floor, depth, count = settle_blocks(matches, CAMERA, 0.02)
-    np.testing.assert_array_equal(count, deep)
+    settled = settle_all(rows_of(matches), len(matches.start), CAMERA, 0.02)
+    floor, depth = settled.floor, settled.depth
+    np.testing.assert_array_equal(settled.with_depth, deep)
     smaller = np.minimum(*(np.trace(m.covariance[:, :2, :2], axis1=1, axis2=2) for m in (floor, depth)))
     np.testing.assert_allclose(np.trace(covariance[:, :2, :2], axis1=1, axis2=2), smaller)
     chosen = np.where(by_depth[:, None], depth.i_from_j, floor.i_from_j)
@@ -217,7 +222,7 @@ def test_table_of_names_what_measured_and_judges_it(trust, kind):
     matches = pairs_of(MIN_DEPTH)
     i = np.arange(1, 6)
     inliers, total = np.array([60, 60, 19, 60, 24]), np.array([60, 60, 20, 60, 61])
-    steps = table_of(FloorPairs(i, i - 1, inliers, total, matches), CAMERA, 0.02, trust)
+    steps = table_of(FloorPairs(i, i - 1, inliers, total, rows_of(matches)), CAMERA, 0.02, trust)
     np.testing.assert_array_equal(steps.i, i)
     assert list(steps.reason[[0, 1, 3]]) == [USED] * 3
     assert steps.reason[2] == "few matches" and steps.reason[4] == "few of the matches agree"
@@ -227,5 +232,5 @@ def test_table_of_names_what_measured_and_judges_it(trust, kind):
 
 def test_pairs_are_believed_by_their_matches():
     i = np.arange(1, 6)
-    pairs = FloorPairs(i, i - 1, np.array([20, 19, 40, 39, 0]), np.array([50, 20, 100, 100, 0]), pairs_of(0))
+    pairs = FloorPairs(i, i - 1, np.array([20, 19, 40, 39, 0]), np.array([50, 20, 100, 100, 0]), rows_of(pairs_of(0)))
     np.testing.assert_array_equal(pairs.believed, [True, False, True, False, False])

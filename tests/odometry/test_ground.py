@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ebjax.features.settle import PairMatches
+from ebjax.features.verify_pairs import rows_of
 from ebjax.geometry.camera import camera_over_floor, project
 from ebjax.odometry.floor_steps import FloorPairs
 from ebjax.odometry.ground import bends, ground_warnings
@@ -41,7 +42,7 @@ def pairs(pitches, right=0.35):
         found.append(PairMatches(*pixels, none, none, all_, np.zeros(3), np.tile(np.eye(2), (COUNT, 1, 1))))
         inliers.append(4 if pitches[k] != pitches[k - 1] else int(right * COUNT))
     matches = PairMatches(*(np.stack([getattr(m, f.name) for m in found]) for f in dataclasses.fields(PairMatches)))
-    return FloorPairs(np.array([1, 2, 3]), np.array([0, 1, 2]), np.array(inliers), np.full(3, COUNT), matches)
+    return FloorPairs(np.array([1, 2, 3]), np.array([0, 1, 2]), np.array(inliers), np.full(3, COUNT), rows_of(matches))
 
 
 def test_both_ends_of_a_ramp_are_found_and_named():

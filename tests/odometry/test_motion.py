@@ -1,17 +1,20 @@
 import dataclasses
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from ebjax.features import verify_pairs
-from ebjax.features.landmarks import Landmarks, take
+from ebjax.features.landmarks import Landmarks, remounted_landmarks, take
 from ebjax.features.matching import Features
 from ebjax.features.settle import on_floor
+from ebjax.features.verify_pairs import pair_numbers, rows_of, stacked, verify_pair
 from ebjax.geometry.camera import camera_over_floor, project
 from ebjax.geometry.homography import apply
 from ebjax.geometry.mount_numbers import mount_of
 from ebjax.geometry.planar import between, chained
+from ebjax.odometry.floor_steps import FloorPairs
 from ebjax.odometry.motion import Keyframes, MotionConfig, fused_motion
 from ebjax.odometry.mount import _solve as mount_solver
 from ebjax.odometry.mount import tilted
@@ -57,17 +60,35 @@ def seen_from(camera, view, poses):
     return Landmarks(features, points, np.zeros((*rows.shape, 3)), none, pixels, grey)
 
 
+def pairs_of(landmarks, view):
+    """What verifies rows of landmarks in pairs under any mount."""
+
+    def pairs_under(camera, i, j):
+        moved = remounted_landmarks(landmarks, camera)
+        found = []
+        for a, b in zip(i.tolist(), j.tolist(), strict=True):
+            ends = (jax.tree.map(lambda leaf, row=row: leaf[row], moved) for row in (a, b))
+            found.append(jax.tree.map(np.asarray, verify_pair(*ends, pair_numbers(0, a, b, False), view, camera, 0.02)))
+        counts = np.array([(one.verified.count, one.verified.total) for one in found])
+        matches = jax.tree.map(lambda *leaves: np.stack(leaves), *(one.matches for one in found))
+        return FloorPairs(i, j, counts[:, 0], counts[:, 1], rows_of(matches), stacked(one.settled for one in found))
+
+    return pairs_under
+
+
 @pytest.fixture(scope="module")
 def keyframes():
     """A run whose wheels count 4 % too little."""
     view, poses = from_camera(CAMERA, choose_floor(CAMERA, 0.01)), drive()
     wheels = chained(between(poses[:-1], poses[1:]) / [SCALE, SCALE, 1.0])
     views = np.random.default_rng(1).integers(0, 256, (COUNT, 16, 16, 3), np.uint8)
+    landmarks = seen_from(CAMERA, view, poses)
     return Keyframes(
         frames=FRAMES,
         times=0.5 * np.arange(COUNT),
-        landmarks=seen_from(CAMERA, view, poses),
-        views=views,
+        pairs_under=pairs_of(landmarks, view),
+        sample=landmarks,
+        views=list(views),
         view=view,
         wheels_at=lambda offset: wheels,
         load=lambda frame: None,
@@ -78,7 +99,7 @@ def keyframes():
 def moved(keyframes, camera=CAMERA, refine="tilt", **errors):
     """The motion, its largest distance from the drive in m, and the camera against the true one: degrees and m."""
     start = drive() if keyframes.wheels_at is None else keyframes.wheels_at(0.0)
-    motion = fused_motion(keyframes, camera, start, MotionConfig(0.02, refine, False, 0, WheelErrors(**errors)))
+    motion = fused_motion(keyframes, camera, start, MotionConfig(0.02, refine, False, WheelErrors(**errors)))
     apart = np.abs(between(drive(), motion.poses))[:, :2].max()
     mount = mount_of(np.asarray(motion.camera.base_from_camera)) - mount_of(np.asarray(CAMERA.base_from_camera))
     return motion, apart, mount * [*np.degrees(np.ones(3)), 1, 1, 1]
@@ -113,10 +134,11 @@ def test_a_jump_of_the_wheels_is_found(keyframes):
 
 
 def test_a_gap_is_bridged_by_the_wheels(keyframes):
-    features = keyframes.landmarks.features
+    features = keyframes.sample.features
     blind = dataclasses.replace(features, valid=features.valid & (np.arange(COUNT) != 6)[:, None])
-    landmarks = dataclasses.replace(keyframes.landmarks, features=blind)
-    motion, apart, _ = moved(dataclasses.replace(keyframes, landmarks=landmarks))
+    landmarks = dataclasses.replace(keyframes.sample, features=blind)
+    without = dataclasses.replace(keyframes, sample=landmarks, pairs_under=pairs_of(landmarks, keyframes.view))
+    motion, apart, _ = moved(without)
     assert apart < 0.01
     assert not np.isin(6, [*motion.steps.i[motion.steps.used], *motion.steps.j[motion.steps.used]])
     assert motion.carried == 0
@@ -144,16 +166,16 @@ def test_good_wheels_put_the_height_right(keyframes):
 
 
 def test_another_run_compiles_nothing(keyframes):
-    programs = (verify_pairs._block, verify_pairs._settle, mount_solver)
+    programs = (verify_pairs.verify_pair, verify_pairs._settle, mount_solver)
     moved(keyframes)
     before = [program._cache_size() for program in programs]
     moved(keyframes, tilted(CAMERA, jnp.radians(jnp.array([0.7, 0.2]))))
     few = dataclasses.replace(
         keyframes,
         **{name: getattr(keyframes, name)[:-1] for name in ("frames", "times", "views")},
-        landmarks=take(keyframes.landmarks, np.arange(COUNT - 1)),
+        sample=take(keyframes.sample, np.arange(COUNT - 1)),
         wheels_at=lambda offset: keyframes.wheels_at(offset)[:-1],
     )
-    fused_motion(few, CAMERA, few.wheels_at(0.0), MotionConfig(0.02, "tilt", False, 0, WheelErrors()))
+    fused_motion(few, CAMERA, few.wheels_at(0.0), MotionConfig(0.02, "tilt", False, WheelErrors()))
     assert [program._cache_size() for program in programs] == before
     assert min(before) >= 1

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from ebjax.features.settle import PairMatches, on_floor
+from ebjax.features.verify_pairs import rows_of
 from ebjax.geometry.camera import camera_over_floor, project
 from ebjax.geometry.mount_numbers import mount_of
 from ebjax.geometry.planar import compose, inverse
@@ -78,7 +79,7 @@ def off_deg(camera):
 def test_a_wrong_tilt_comes_back(wrong):
     given = tilted(TRUE, jnp.radians(jnp.array(wrong)))
     np.testing.assert_allclose(off_deg(given), wrong, atol=1e-9)
-    camera, found = refine_tilt(pairs_under(given), np.ones(40, bool), given, TOLERANCE_M)
+    camera, found = refine_tilt(rows_of(pairs_under(given)), np.ones(40, bool), given, TOLERANCE_M)
     assert found.applied and found.pairs == 40
     np.testing.assert_allclose(off_deg(camera), 0, atol=0.02)
     np.testing.assert_allclose([found.pitch_deg, found.roll_deg], -np.array(wrong), atol=0.02)
@@ -89,7 +90,7 @@ def test_a_wrong_tilt_comes_back(wrong):
 @pytest.mark.parametrize("opposing", [False, True])
 def test_pairs_of_one_direction_tell_it_too(opposing):
     given = tilted(TRUE, jnp.radians(jnp.array([0.5, -0.5])))
-    camera, found = refine_tilt(pairs_under(given, 60), np.arange(60) % 2 == opposing, given, TOLERANCE_M)
+    camera, found = refine_tilt(rows_of(pairs_under(given, 60)), np.arange(60) % 2 == opposing, given, TOLERANCE_M)
     assert found.applied and found.pairs == 30
     sigma = np.array([found.pitch_sigma_deg, found.roll_sigma_deg])
     assert (np.abs(off_deg(camera)) < np.minimum(2.5 * sigma, 0.02)).all()
@@ -97,14 +98,14 @@ def test_pairs_of_one_direction_tell_it_too(opposing):
 
 def test_height_and_place_are_left_alone():
     given = tilted(TRUE, jnp.radians(jnp.array([0.5, 0.3])))
-    camera, _ = refine_tilt(pairs_under(given), np.ones(40, bool), given, TOLERANCE_M)
+    camera, _ = refine_tilt(rows_of(pairs_under(given)), np.ones(40, bool), given, TOLERANCE_M)
     np.testing.assert_allclose(camera.base_from_camera[:, 3], TRUE.base_from_camera[:, 3], atol=1e-12)
     np.testing.assert_array_equal(camera.intrinsics, TRUE.intrinsics)
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_an_exact_camera_stays_the_very_same(seed):
-    camera, found = refine_tilt(pairs_under(TRUE, seed=seed), np.ones(40, bool), TRUE, TOLERANCE_M)
+    camera, found = refine_tilt(rows_of(pairs_under(TRUE, seed=seed)), np.ones(40, bool), TRUE, TOLERANCE_M)
     assert camera is TRUE and not found.applied
     assert abs(found.pitch_deg) < 2.5 * found.pitch_sigma_deg
     assert abs(found.roll_deg) < 2.5 * found.roll_sigma_deg
@@ -116,14 +117,14 @@ def test_only_the_pairs_in_use_count():
     used = np.arange(40) % 4 != 1
     spoilt = np.asarray(matches.pixels_i).copy()
     spoilt[~used] = np.random.default_rng(0).uniform(150, 450, spoilt[~used].shape)
-    camera, found = refine_tilt(dataclasses.replace(matches, pixels_i=spoilt), used, given, TOLERANCE_M)
+    camera, found = refine_tilt(rows_of(dataclasses.replace(matches, pixels_i=spoilt)), used, given, TOLERANCE_M)
     assert found.pairs == 30 and found.applied
     np.testing.assert_allclose(off_deg(camera), 0, atol=0.02)
 
 
 def test_few_pairs_change_nothing():
     given = tilted(TRUE, jnp.radians(jnp.array([1.0, 0.0])))
-    camera, found = refine_tilt(pairs_under(given), np.arange(40) < FEWEST - 1, given, TOLERANCE_M)
+    camera, found = refine_tilt(rows_of(pairs_under(given)), np.arange(40) < FEWEST - 1, given, TOLERANCE_M)
     assert camera is given
     assert found == Tilt(pairs=FEWEST - 1)
     assert found.pitch_sigma_deg == PRIOR_DEG
@@ -132,7 +133,7 @@ def test_few_pairs_change_nothing():
 def test_many_pairs_are_thinned_out():
     matches = pairs_under(TRUE)
     many = jax.tree.map(lambda leaf: np.concatenate([leaf] * 8), matches)
-    _, found = refine_tilt(many, np.ones(320, bool), TRUE, TOLERANCE_M)
+    _, found = refine_tilt(rows_of(many), np.ones(320, bool), TRUE, TOLERANCE_M)
     assert found.pairs == 256
 
 

@@ -6,9 +6,9 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from ebjax.command import run
-from ebjax.evaluation.__main__ import CropsConfig
-from ebjax.evaluation.__main__ import crops as command
 from ebjax.paper import crop_table, crops
+from ebjax.paper.__main__ import CropsConfig
+from ebjax.paper.__main__ import crops as command
 
 
 def floor(seed, side=400):

@@ -1,7 +1,7 @@
 import pytest
 
 from ebjax.paper.drift import ODOMETRY, OFF, OURS, measure_d5
-from ebjax.slam.pipeline import PipelineConfig
+from ebjax.slam.config import PipelineConfig
 
 
 def test_the_real_graph_gives_the_published_path(data):

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 
 from ebjax.command import run
-from ebjax.evaluation.__main__ import PaperConfig, paper
 from ebjax.features.extractor import extractor
 from ebjax.geometry.camera import image_from_floor
 from ebjax.geometry.homography import apply
 from ebjax.paper import experiment
+from ebjax.paper.__main__ import TablesConfig, main, tables
 from ebjax.paper.pairs import cut_pairs, facing_frames
 from ebjax.paper.run import read_run
 
 
 def command(out, folder, *flags):
-    run(paper, PaperConfig, ["--quick", "--out", str(out), "--worlds", str(folder), "--weights", str(folder), *flags])
+    run(tables, TablesConfig, ["--quick", "--out", str(out), "--worlds", str(folder), "--weights", str(folder), *flags])
 
 
 def restrict(patch):
@@ -105,7 +105,21 @@ def test_bad_worlds_are_named(tmp_path, capsys, text, word):
     if text is not None:
         (tmp_path / "X.yaml").write_text(text)
     with pytest.raises(SystemExit) as stop:
-        run(paper, PaperConfig, ["--out", str(tmp_path / "out"), "--worlds", str(tmp_path), "--sets", "X", "--plans"])
+        run(tables, TablesConfig, ["--out", str(tmp_path / "out"), "--worlds", str(tmp_path), "--sets", "X", "--plans"])
     assert stop.value.code == 2
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert line.startswith("error: ") and word in line
+
+
+def test_commands_by_name(tmp_path, capsys):
+    main(["--help"])
+    listed = capsys.readouterr().out
+    for name in ("tables", "crops", "stress", "ablations"):
+        assert f"python -m ebjax.paper {name} " in listed
+    absent = ["tables", "--worlds", str(tmp_path), "--sets", "X"]
+    for argv, word in ((["paper"], "no command 'paper'; there are tables, crops"), (absent, "X.yaml: no such file")):
+        with pytest.raises(SystemExit) as stop:
+            main(argv)
+        assert stop.value.code == 2
+        (line,) = capsys.readouterr().err.strip().splitlines()
+        assert line.startswith("error: ") and word in line

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from ebjax.command import run
-from ebjax.evaluation.__main__ import StressConfig
-from ebjax.evaluation.__main__ import stress as command
+from ebjax.paper.__main__ import StressConfig
+from ebjax.paper.__main__ import stress as command
 from ebjax.paper.retrieval import Retrieval, merits
 from ebjax.paper.run import read_run
 from ebjax.paper.stress import floor_views, measure

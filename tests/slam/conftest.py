@@ -2,9 +2,9 @@ import shutil
 
 import pytest
 
-from ebjax.floors.__main__ import render_sequence
 from ebjax.floors.robot import RobotConfig
 from ebjax.floors.sequence import CorridorConfig
+from ebjax.worlds.render import render_sequence
 
 
 @pytest.fixture(scope="session")

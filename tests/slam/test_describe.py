@@ -1,3 +1,4 @@
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,7 +10,9 @@ from ebjax.features.upright import ROOTSIFT
 from ebjax.geometry.camera import FloorView, camera_over_floor
 from ebjax.geometry.homography import apply
 from ebjax.slam.describe import describe
-from ebjax.slam.verify import seen_from
+from ebjax.slam.look import Looked
+from ebjax.slam.packed import floor_of, landmarks_of, packed, view_of
+from ebjax.slam.store import InMemory
 from ebjax.views.floor_view import view_taps
 from ebjax.views.run_view import from_camera
 
@@ -30,17 +33,15 @@ def frames():
             rgb = np.clip(128 + 60 * noise / noise.std(), 0, 255).astype(np.uint8)
             both.append(describe(rgb, jnp.zeros((240, 320), jnp.float32), samples, view, camera, extractor=chosen))
         described[name] = jax_stack(both)
-    return view, described
+    return view, camera, described
 
 
 def jax_stack(rows):
-    import jax
-
     return jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves]), *rows)
 
 
 def test_turned_landmarks_lie_where_the_floor_has_them(frames):
-    view, described = frames
+    view, _, described = frames
     assert described["exact"].turned is None
     turned = described["again"].turned
     for k in range(2):
@@ -49,21 +50,39 @@ def test_turned_landmarks_lie_where_the_floor_has_them(frames):
 
 
 def test_facing_rows_are_turned_and_the_others_are_not(frames):
-    _, described = frames
-    rows, facing = np.array([0, 1, 1]), np.array([True, False, True])
-    exact, again = (
-        seen_from(described[name], chosen, rows, facing) for name, chosen in (("exact", ROOTSIFT), ("again", AGAIN))
-    )
-    straight = described["exact"].landmarks.features
-    np.testing.assert_array_equal(exact.features.descriptors[1], straight.descriptors[1])
-    assert np.abs(exact.features.descriptors[2] - straight.descriptors[1]).max() > 0.1
+    view, camera, described = frames
+    straight, exact, again = [], [], []
+    for name, chosen in (("exact", ROOTSIFT), ("again", AGAIN)):
+        store = InMemory()
+        for k in range(2):
+            store.keep(packed(jax.tree.map(lambda leaf, k=k: leaf[k], described[name])))
+        looked = Looked(store, view, camera, chosen.turn, 0.02, 0)
+        for row in range(2):
+            straight.append(looked.landmarks(row).features)
+            (exact if chosen is ROOTSIFT else again).append(looked.landmarks(row, True).features)
+    assert np.abs(exact[1].descriptors - straight[1].descriptors).max() > 0.1
     # Looking again finds nearly the same corners, and describes them as the exact turn does.
-    for k in range(3):
-        one, two = (
-            type(f)(*(jnp.asarray(leaf[k]) for leaf in (f.keypoints, f.descriptors, f.valid)))
-            for f in (exact.features, again.features)
-        )
+    for one, two in zip(exact, again, strict=True):
         found = mutual_nearest(one, two, keep=len(one.valid))
         pairs = np.asarray(found.valid)
         apart = np.abs(one.keypoints[found.query] - two.keypoints[found.reference]).max(1)[pairs]
         assert pairs.sum() > 30 and np.median(apart) < 0.1
+
+
+def test_what_is_kept_says_the_same_again(frames):
+    view, camera, described = frames
+    one = jax.tree.map(lambda leaf: leaf[0], described["exact"])
+    kept = packed(one)
+    assert sum(np.asarray(value).nbytes for value in kept.values()) < 150_000
+    again = landmarks_of(kept, view, camera, ROOTSIFT.turn, False)
+    valid = np.asarray(one.landmarks.features.valid)
+    count = int(valid.sum())
+    assert int(again.features.valid.sum()) == count and bool(again.features.valid[:count].all())
+    np.testing.assert_array_equal(again.grey, one.landmarks.grey)
+    np.testing.assert_array_equal(floor_of(kept), one.floor)
+    assert np.abs(view_of(kept).astype(int) - np.asarray(one.view, int)).mean() < 4
+    np.testing.assert_array_equal(again.features.keypoints[:count], one.landmarks.features.keypoints[valid])
+    np.testing.assert_allclose(again.floor_points[:count], one.landmarks.floor_points[valid], atol=1e-6)
+    np.testing.assert_allclose(again.pixels[:count], one.landmarks.pixels[valid], atol=1e-3)
+    similar = np.sum(np.asarray(again.features.descriptors[:count]) * one.landmarks.features.descriptors[valid], 1)
+    assert similar.min() > 0.99

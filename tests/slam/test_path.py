@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from ebjax.features.settle import PairMatches
+from ebjax.features.verify_pairs import rows_of
 from ebjax.geometry.camera import camera_over_floor
 from ebjax.geometry.planar import between, chained, compose, log
 from ebjax.odometry.chain import Edges
@@ -11,8 +12,8 @@ from ebjax.odometry.motion import Motion
 from ebjax.odometry.mount import Tilt
 from ebjax.odometry.steps import Steps
 from ebjax.odometry.wheels import WheelErrors
+from ebjax.slam.believe import Measured
 from ebjax.slam.path import path_of_motion, path_of_wheels
-from ebjax.slam.select import Measured
 
 ERRORS = WheelErrors()
 FRAMES = np.array([0, 4, 8, 12, 16, 20])
@@ -57,7 +58,7 @@ def motion_of(poses, frames=FRAMES):
         carried=0,
         trust_depth=False,
         warnings=(),
-        pairs=FloorPairs(none, none, none, none, matches),
+        pairs=FloorPairs(none, none, none, none, rows_of(matches)),
         bridged=steps,
     )
 

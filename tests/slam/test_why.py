@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 
 from ebjax.geometry.planar import between
-from ebjax.slam.pipeline import CONTRADICTED
-from ebjax.slam.select import KEPT, THINNED, Measured, SelectConfig, select
+from ebjax.slam.believe import CONTRADICTED, KEPT, THINNED, Belief, BeliefConfig, Measured, Walked
 from ebjax.slam.why import REMEDIES, why_nothing
 
 WAY = np.stack([np.linspace(0, 20, 101), np.zeros(101), np.zeros(101)], 1)
@@ -11,7 +10,7 @@ STEPS = np.tile(np.diag([1e-4, 1e-4, 1e-6]), (100, 1, 1))
 
 
 def reasons_of(count=5, config=None, **changed):
-    """Why `select` leaves out closures that are changed so."""
+    """Why closures are not believed that are changed so."""
     i, j = np.linspace(60, 100, count).astype(int), np.linspace(5, 30, count).astype(int)
     measured = {
         "i": i,
@@ -25,7 +24,9 @@ def reasons_of(count=5, config=None, **changed):
     }
     for name, change in changed.items():
         measured[name] = change(measured[name])
-    return select(Measured(**measured), WAY, STEPS, config or SelectConfig())
+    belief = Belief(config or BeliefConfig())
+    belief.update(Measured(**measured), Walked(WAY, STEPS, np.zeros(len(WAY), int)))
+    return belief.reasons.tolist()
 
 
 CHANGES = {
@@ -38,7 +39,7 @@ CHANGES = {
 
 
 @pytest.mark.parametrize("change,most,remedy", CHANGES.values(), ids=CHANGES)
-def test_what_select_says_has_its_remedy(change, most, remedy):
+def test_what_belief_says_has_its_remedy(change, most, remedy):
     reasons = reasons_of(**change)
     assert KEPT not in reasons
     said = why_nothing(reasons, len(reasons))

@@ -6,7 +6,7 @@ import pytest
 
 from ebjax.geometry.camera import FloorView, camera_over_floor
 from ebjax.geometry.homography import apply
-from ebjax.slam.pipeline import Result
+from ebjax.slam.run import Run
 from ebjax.train.finetune import Config, comb, run, taught
 from ebjax.views.run_view import from_camera
 
@@ -20,9 +20,9 @@ def result(closures):
     kept = np.ones(closures, bool)
     candidates = types.SimpleNamespace(i=np.resize([2, 3], closures))
     view = np.random.default_rng(0).integers(0, 255, (4, *VIEW.size, 3), np.uint8)
-    made = Mock(spec=Result)
+    made = Mock(spec=Run)
     made.kept, made.keyframes, made.candidates = kept, np.arange(4), candidates
-    made.solution, made.described = types.SimpleNamespace(poses=poses), types.SimpleNamespace(view=view)
+    made.poses, made.seen = poses, lambda k: view[k]
     return made
 
 

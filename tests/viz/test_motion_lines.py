@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ebjax.features.settle import PairMatches
+from ebjax.features.verify_pairs import rows_of
 from ebjax.geometry.camera import camera_over_floor
 from ebjax.io.camera_file import CameraFile
 from ebjax.io.logs.log import Images, Log
@@ -55,7 +56,7 @@ def motion(**changed):
         carried=1,
         trust_depth=False,
         warnings=(),
-        pairs=FloorPairs(none, none, none, none, matches),
+        pairs=FloorPairs(none, none, none, none, rows_of(matches)),
         bridged=steps,
     )
     return dataclasses.replace(plain, **changed)

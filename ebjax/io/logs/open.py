@@ -16,7 +16,10 @@ from ebjax.io.logs.ros_bag import open_bag
 from ebjax.io.logs.rtabmap import open_rtabmap
 from ebjax.io.logs.tum_folder import open_tum_folder
 from ebjax.io.logs.video import open_video
+from ebjax.io.map_file.schema import APPLICATION_ID
 
+MAP = APPLICATION_ID.to_bytes(4, "big")
+"""The application id in the header of an SQLite file."""
 SQLITE, ROSBAG, MCAP, ZSTD = b"SQLite format 3\x00", b"#ROSBAG", b"\x89MCAP0\r\n", b"\x28\xb5\x2f\xfd"
 READ = (
     "a TUM folder (rgb.txt, camera.json), a .bag, .db3, .mcap or their folder, an RTAB-Map .db, a video, or a folder "
@@ -116,7 +119,9 @@ def kind_of(path: str | Path) -> Literal["tum", "bag", "rtabmap", "video", "imag
     if not path.is_file():
         raise ValueError(f"{path}: no such folder or file; give {READ}")
     with open(path, "rb") as file:
-        head = file.read(16)
+        head = file.read(72)
+    if path.suffix == ".ebmap" or (head.startswith(SQLITE) and head[68:] == MAP):
+        raise ValueError(f"{path}: a map of ebjax; give it with --map to `python -m ebjax.slam`")
     if head.startswith(SQLITE):
         return "rtabmap" if path.suffix != ".db3" and not _is_rosbag(path) else "bag"
     if head.startswith((ROSBAG, MCAP, ZSTD)) or path.suffix in (".bag", *BAG_SUFFIXES):

@@ -1,4 +1,4 @@
-"""`python -m ebjax.evaluation paper`: every table and figure of the paper, one folder."""
+"""`python -m ebjax.paper tables`: every table and figure of the paper, one folder."""
 
 import os
 from collections.abc import Iterator
@@ -30,7 +30,7 @@ def make(
     quick: bool,
     seed: int,
 ) -> list[str]:
-    """Measures whatever `out` does not hold yet, draws and writes; see `ebjax.evaluation.__main__.PaperConfig`.
+    """Measures whatever `out` does not hold yet, draws and writes; see `ebjax.paper.__main__.TablesConfig`.
 
     Returns:
       the lines of the tables.

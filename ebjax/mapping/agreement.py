@@ -1,0 +1,152 @@
+"""What a map and a run that goes on with it must agree in: by value, and refused by name where they do not."""
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from ebjax.features.extractor import extractor
+from ebjax.geometry.camera import Camera
+from ebjax.geometry.homography import apply
+from ebjax.geometry.mount_numbers import mount_of
+from ebjax.places.descriptor import descriptor
+from ebjax.places.fixed_words import NAMES, digest_of, fixed_words
+from ebjax.slam.config import PipelineConfig
+from ebjax.views.run_view import RunView
+
+Facts = Mapping[str, Any]
+TOLERANCE = 1e-6
+"""Of numbers, absolute and relative: what two ways of computing one camera differ in is less."""
+MADE_BY = ("descriptor", "extractor", "weights")
+"""Settings that a whole map shares."""
+REMEDIES = {
+    "extractor": "give --extractor {was}",
+    "descriptor": "give --descriptor {was}",
+    "weights of the extractor": "give the weights that it was made with (--weights)",
+    "weights of the descriptor": "give the weights that it was made with (--weights)",
+    "words of places": "use the ebjax and the weights (--weights) that it was made with",
+    "image": "give the calibration that it was made with (--camera)",
+    "intrinsics": "give the calibration that it was made with (--camera)",
+    "lens": "give the calibration that it was made with (--camera)",
+    "mount": "give the mount that it was made with (--camera, --mount.*)",
+    "floor view": "look at the same floor (--view, --quad, --metres-per-px)",
+}
+"""Of every fact of a map, what makes a run agree with it."""
+
+
+def made_with(config: PipelineConfig, camera: Camera, view: RunView) -> dict[str, Any]:
+    """The facts of a map: what its views were seen and described with.
+
+    Raises:
+      ValueError: an unknown descriptor or extractor, or no words or weights of them.
+      OSError: weights cannot be read.
+    """
+    features = extractor(config.extractor, config.weights, config.arithmetic)
+    places = descriptor(config.descriptor, config.weights, config.arithmetic)
+    told = [name for name in NAMES if config.descriptor in (name, "joint")]
+    words = [fixed_words(name, config.weights if name == "floornet" else None).version for name in told]
+    k = np.asarray(camera.intrinsics, np.float64)
+    height, width = view.size
+    corners = np.array([[0.0, 0], [width - 1, 0], [width - 1, height - 1], [0, height - 1]])
+    on_floor = np.asarray(apply(np.asarray(view.floor_from_view, np.float64), corners))
+    return {
+        "extractor": config.extractor,
+        "weights of the extractor": digest_of(features.weights),
+        "descriptor": config.descriptor,
+        "weights of the descriptor": digest_of(places.weights),
+        "words of places": " ".join(words) or "none",
+        "image": [camera.width, camera.height],
+        "intrinsics": [float(value) for value in (k[0, 0], k[1, 1], k[0, 2], k[1, 2], k[0, 1])],
+        "lens": [camera.lens.model, *np.asarray(camera.lens.coefficients, float).tolist()],
+        "mount": np.asarray(camera.base_from_camera, np.float64)[:3].ravel().tolist(),
+        "floor view": [width, height, *on_floor.ravel().tolist()],
+    }
+
+
+def settings_of(config: PipelineConfig) -> dict[str, Any]:
+    """The settings of the engine under the names of their flags; those that the whole map shares are left out."""
+    found: dict[str, Any] = {}
+    for field in dataclasses.fields(PipelineConfig):
+        value = getattr(config, field.name)
+        if dataclasses.is_dataclass(value):
+            made = field.default_factory
+            assert made is not dataclasses.MISSING
+            within = "" if field.name == "believe" else f"{field.name}."
+            for inner in dataclasses.fields(made()):  # type: ignore[arg-type]
+                found[f"--{within}{inner.name}".replace("_", "-")] = getattr(value, inner.name)
+        elif field.name not in MADE_BY:
+            found[f"--{field.name}".replace("_", "-")] = value
+    return found
+
+
+def disagreeing(was: Facts, now: Facts) -> str | None:
+    """The first fact of `was` that `now` has another value of; None where there is none."""
+    return next((name for name in was if name in now and not _equal(was[name], now[name])), None)
+
+
+def _equal(one: Any, other: Any) -> bool:
+    if isinstance(one, list | tuple) and isinstance(other, list | tuple):
+        return len(one) == len(other) and all(map(_equal, one, other))
+    if _is_number(one) and _is_number(other):
+        return math.isclose(one, other, rel_tol=TOLERANCE, abs_tol=TOLERANCE)
+    return bool(one == other)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def check_map(path: object, was: Facts, now: Facts) -> tuple[str, ...]:
+    """Refuses a run that does not agree with the map; returns notes of what the map does not say.
+
+    Raises:
+      ValueError: names the fact, both values, and what to give.
+    """
+    name = disagreeing(was, now)
+    if name is not None:
+        values = in_words(name, was[name]), in_words(name, now[name])
+        remedy = REMEDIES[name].format(was=values[0])
+        raise ValueError(
+            f"{path}: was made with {name} {values[0]}, this run has {values[1]}; {remedy}, or keep this run in "
+            "another map"
+        )
+    unsaid = [name for name in now if name not in was]
+    said = f"{path}: does not say what it was made with ({', '.join(unsaid)}); taken to be as this run's"
+    return (said,) * bool(unsaid)
+
+
+def check_session(path: object, session: int, log: str, was: Facts, now: Facts) -> None:
+    """Refuses to go on with a session that was begun with other settings.
+
+    Raises:
+      ValueError: names the setting, both values, and what to give.
+    """
+    name = disagreeing(was, now)
+    if name is None:
+        return
+    value = was[name]
+    change = "run it as it was begun"
+    if name.startswith("--"):
+        change = f"leave {name} out" if value is None else f"give {name} {in_words(name, value)}"
+    raise ValueError(
+        f"{path}: session {session} of {log} was begun with {name} {in_words(name, value)}, not "
+        f"{in_words(name, now[name])}; {change} to go on, or begin it anew after --map {path} --forget {session}"
+    )
+
+
+def in_words(name: str, value: Any) -> str:
+    """A value as a message shows it."""
+    if name == "mount":
+        pitch, roll, yaw, height, x, y = mount_of(np.vstack([np.reshape(value, (3, 4)), [0, 0, 0, 1]]))
+        angles = np.degrees([pitch, roll, yaw])
+        return (
+            f"(height {height:.6g} m, x {x:.6g} m, y {y:.6g} m, pitch {angles[0]:.6g}, roll {angles[1]:.6g}, "
+            f"yaw {angles[2]:.6g} degrees)"
+        )
+    if isinstance(value, list | tuple):
+        return f"({' '.join(in_words('', one) for one in value)})"
+    if isinstance(value, float):
+        return f"{value:.9g}"
+    return str(value)

@@ -1,0 +1,318 @@
+"""The whole run thought over: the camera's mount, the clocks, the steps and the closures, each by all of the others.
+
+Where the camera was tilted otherwise than was thought, or the robot nods, and the run was recorded, it is driven
+through the engine once more as it is known by then.
+"""
+
+import dataclasses
+import time
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Float
+
+from ebjax.geometry.camera import Camera
+from ebjax.geometry.planar import between
+from ebjax.odometry.motion import (
+    Keyframes,
+    Motion,
+    MotionConfig,
+    fused_motion,
+    motion_of_nodding,
+    motion_with_closures,
+)
+from ebjax.posegraph.graph import PoseGraph, make_graph
+from ebjax.posegraph.lm import cut_off, solve
+from ebjax.slam.believe import CONTRADICTED, Belief, Measured, Walked
+from ebjax.slam.join import joined
+from ebjax.slam.lean import Asked, By, Lean, image_level, shown_by_depth, shown_by_the_floor, used
+from ebjax.slam.lens_check import lens_warning
+from ebjax.slam.look import Views
+from ebjax.slam.mapper import Mapper
+from ebjax.slam.path import SYSTEMATIC, Path, path_of_motion, path_of_wheels
+from ebjax.slam.recall import Alike
+from ebjax.slam.run import Earlier, Run
+from ebjax.views.run_view import remounted_view
+
+LOOK_AGAIN_DEG = 0.1
+"""A tilt that was off by more shows the floor bent: the images are looked at again under the right one."""
+MUCH_DEG = 0.5
+"""A tilt that was off by more may be a lens that bends."""
+MANY, FEW_AGREE, OFTEN = 60, 0.4, 0.15
+"""Of so many matches of two successive views less than that share agrees, in more than this share of all such pairs."""
+SAMPLE = 64
+"""Keyframes whose depth says how high the camera is."""
+Again = Callable[[Mapper, Camera, Lean | None], Mapper]
+"""(engine, camera, lean) -> an engine through which the same run was driven as that camera, leaning so, sees it."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Moved:
+    """How the robot moved: an engine at its end, what is known of its keyframes, their motion, and the way.
+
+    Attributes:
+      engine: whose keyframes they are.
+      given: what is known of them without the motion.
+      motion: see there.
+      way: wheels, or the floor followed, at all frames.
+    """
+
+    engine: Mapper
+    given: Keyframes
+    motion: Motion
+    way: Float[np.ndarray, "F 3"]
+
+
+def motion_config(engine: Mapper) -> MotionConfig:
+    """What of the settings the motion needs."""
+    config, recording = engine.config, engine.recording
+    timed = recording is not None and recording.odometry_at is not None
+    return MotionConfig(config.tolerance_m, config.mount.refine, timed, config.odometry)
+
+
+def finish(engine: Mapper, again: Again) -> Run:
+    """Thinks a run over.
+
+    Args:
+      engine: after its last frame.
+      again: drives the run once more, where it was recorded.
+
+    Raises:
+      ValueError: fewer than two frames could be read.
+    """
+    read = len(engine.keyframes) - engine.start
+    if read < 2:
+        raise ValueError(f"{read} of {read + len(engine.broken)} frames could be read; at least two are needed")
+    begun = time.perf_counter()
+    moved = None
+    if engine.config.motion != "wheels":
+        moved = think_over(engine, again)
+        engine = moved.engine
+    engine.seconds["motion"] = time.perf_counter() - begun
+    return concluded(engine, moved)
+
+
+def think_over(engine: Mapper, again: Again) -> Moved:
+    """The motion under the tilt and the leans that the run shows."""
+    recording = engine.recording
+
+    def upright(engine: Mapper) -> Moved:
+        found = moved_by(engine)
+        tilt = found.motion.tilt
+        far = max(abs(tilt.pitch_deg), abs(tilt.roll_deg)) >= LOOK_AGAIN_DEG
+        if recording is None or not (tilt.applied and far):
+            return found
+        more = moved_by(again(engine, found.motion.camera, engine.lean))
+        return dataclasses.replace(more, motion=dataclasses.replace(more.motion, tilt=tilt.further(more.motion.tilt)))
+
+    found = upright(engine)
+    if recording is None:
+        return found
+    lean, given = engine.lean, engine.camera
+    offset_s = found.motion.offset.offset_s
+    asked = asked_of(engine)
+    if used(lean) is None and suspicious(found.motion):
+        shown = nodding(engine, asked)
+        if used(shown) is not None:
+            found = upright(again(engine, given, shown))
+        elif shown is not None:
+            found.engine.lean = shown
+    elif lean is not None and lean.by == "odometry" and offset_s and recording.level_at is not None:
+        later = recording.level_at(offset_s)
+        if later is not None and apart_deg(later, lean.level_from_base) > LOOK_AGAIN_DEG:
+            lean = asked.leaning("odometry", engine.numbers.tolist(), later)
+            found = upright(again(engine, given, lean))
+    return lens_checked(found, asked, engine)
+
+
+def asked_of(engine: Mapper) -> Asked:
+    """What the floor views of a recorded run are asked with."""
+    assert engine.recording is not None
+    ways = engine.eyes.extractor, engine.eyes.descriptor
+    return Asked(engine.recording.load, engine.camera, engine.view_of, *ways, engine.config.seed)
+
+
+def moved_by(engine: Mapper) -> Moved:
+    """The motion of an engine's keyframes."""
+    recording, frames, start = engine.recording, engine.numbers, engine.start
+    way = engine.way_everywhere()
+    at = None if recording is None or engine.follower is not None else recording.odometry_at
+    wheels_at = None
+    if engine.follower is None:
+
+        def wheels_at(offset: float) -> Float[np.ndarray, "N 3"]:
+            return (way if not offset or at is None else at(offset))[frames]
+
+    spread = np.unique(np.linspace(0, len(frames) - 1, min(len(frames), SAMPLE)).round().astype(int))
+    level = image_level(engine.lean)
+    given = Keyframes(
+        frames=frames,
+        times=engine.keyframes.stamp_s[start:],
+        pairs_under=lambda camera, i, j: engine.looked.under(camera).pairs(i, j, since=start),
+        sample=engine.looked.stacked_landmarks(start + spread),
+        views=Views(engine.looked, start + np.arange(len(frames))),
+        view=engine.view,
+        wheels_at=wheels_at,
+        load=None if recording is None else recording.load,
+        ignored=None if recording is None else recording.ignored,
+        level_from_base=None if level is None else level[frames],
+        bridged=engine.bridged_steps(),
+    )
+    motion = fused_motion(given, engine.camera, way[frames], motion_config(engine))
+    if motion.offset.offset_s and at is not None:
+        way = at(motion.offset.offset_s)
+    return Moved(engine, given, motion, way)
+
+
+def concluded(engine: Mapper, moved: Moved | None) -> Run:
+    """The closures that the whole run believes, and what they make of the path."""
+    begun = time.perf_counter()
+    config, frames, start, every = engine.config, engine.numbers, engine.start, engine.measured()
+    own = every.j >= start
+    rows = every.rows(np.flatnonzero(own))
+    rows = dataclasses.replace(rows, i=rows.i - start, j=rows.j - start)
+    closures = engine.looked.pairs(rows.i, rows.j, rows.opposing, since=start)
+    if moved is None:
+        camera, view, motion, trust_depth = engine.camera, engine.view, None, False
+        path = path_of_wheels(engine.frames.odom, config.odometry)
+    else:
+        motion, steps = moved.motion, motion_config(engine)
+        if motion.camera is not engine.camera:
+            closures = dataclasses.replace(closures, settled=None)
+        motion = motion_with_closures(motion, moved.given, closures, steps)
+        if engine.lean is not None and engine.lean.used and engine.lean.by != "odometry" and closures.believed.any():
+            motion, closures = motion_of_nodding(motion, moved.given, closures, steps)
+        if motion.camera is not engine.camera:
+            closures = dataclasses.replace(closures, settled=None)
+        camera, view, trust_depth = motion.camera, remounted_view(engine.view, motion.camera), motion.trust_depth
+        path = path_of_motion(motion, moved.way)
+    i_from_j, covariance, by_depth = closures.measured(camera, config.tolerance_m, trust_depth)
+    for name, values in (("i_from_j", i_from_j), ("covariance", covariance)):
+        getattr(every, name)[own] = values
+    map_path = MapPath(engine, path)
+    belief = Belief(config.believe)
+    belief.update(map_path.nodes_of(every), map_path.walked)
+    engine.seconds["believe"] = time.perf_counter() - begun
+
+    begun = time.perf_counter()
+    kept = np.flatnonzero(belief.kept)
+    graph = map_path.graph(map_path.nodes_of(every.rows(kept)))
+    solution = solve(graph, kernel=config.kernel, width=config.kernel_width, max_steps=100)
+    cut = cut_off(graph, solution.poses, kernel=config.kernel, width=config.kernel_width)[-len(kept) :]
+    if len(kept) and cut.any():
+        belief.reasons[kept[cut]] = CONTRADICTED
+        graph = map_path.graph(map_path.nodes_of(every.rows(kept[~cut])))
+    poses = path.everywhere(np.asarray(solution.poses)[start:])
+    engine.seconds["pose graph"] = time.perf_counter() - begun
+    candidates = dataclasses.replace(rows, i=frames[rows.i], j=frames[rows.j], i_from_j=i_from_j, covariance=covariance)
+    reasons = [str(reason) for reason in belief.reasons]
+    follower, firsts = engine.follower, engine.firsts
+    return Run(
+        keyframes=frames,
+        looked=engine.looked,
+        camera=camera,
+        view=view,
+        motion=motion,
+        firsts=Alike(*(getattr(firsts, name)[start:] for name in ("j", "opposing", "distance"))),
+        candidates=candidates,
+        by_depth=by_depth,
+        reasons=[reason for reason, mine in zip(reasons, own, strict=True) if mine],
+        path=path,
+        graph=graph,
+        solution=solution,
+        poses=poses,
+        seconds=engine.seconds,
+        lean=engine.lean,
+        earlier=Earlier(start, np.asarray(solution.poses)[:start], every, reasons, map_path.in_map),
+        followed=None if follower is None else (sum(follower.good), len(follower.good)),
+    )
+
+
+class MapPath:
+    """The keyframes of earlier runs, and behind them the nodes of a run's path.
+
+    Attributes:
+      walked: all of them, as candidates are compared with it.
+      in_map: whether the closures of the last graph join the run to the earlier ones; True where there are none.
+    """
+
+    def __init__(self, engine: Mapper, path: Path):
+        self._start, self._path = engine.start, path
+        self._node = engine.start + np.searchsorted(path.frames, engine.numbers)
+        self._earlier = engine.chain.covariance[: max(engine.start - 1, 0)]
+        self.in_map = True
+        steps = engine.chain.steps[1 : engine.start + 1] if engine.start else np.zeros((0, 3, 3))
+        self.walked = Walked(
+            np.concatenate([engine.chain.poses[: engine.start], path.poses]),
+            np.concatenate([SYSTEMATIC * steps, path.covariance]),
+            np.concatenate([
+                engine.keyframes.piece[: engine.start], np.full(len(path.poses), engine.store.current)
+            ]),
+        )  # fmt: skip
+
+    def nodes_of(self, rows: Measured) -> Measured:
+        """Candidates between nodes in place of keyframes."""
+        node = np.concatenate([np.arange(self._start), self._node])
+        return dataclasses.replace(rows, i=node[rows.i], j=node[rows.j])
+
+    def graph(self, closures: Measured) -> PoseGraph:
+        """Earlier runs' steps, the run's own, and closures between nodes; the kernel applies to closures only."""
+        walked, edges, start = self.walked, self._path.edges, self._start
+        poses = walked.poses
+        if start:
+            poses, done = joined(poses, walked.piece, closures)
+            self.in_map = bool(done[start])
+        rows = np.flatnonzero(np.diff(walked.piece[:start]) == 0)
+        between_rows = between(walked.poses[rows], walked.poses[rows + 1])
+        steps = np.linalg.inv(self._earlier[rows]), edges.information, np.linalg.inv(closures.covariance)
+        ties = len(rows) + len(edges.i)
+        return make_graph(
+            poses.astype(np.float64),
+            np.concatenate([rows, edges.i + start, closures.i]),
+            np.concatenate([rows + 1, edges.j + start, closures.j]),
+            np.concatenate([between_rows, edges.measured, closures.i_from_j]).astype(np.float64),
+            np.concatenate(steps).astype(np.float64),
+            robust=np.arange(ties + len(closures.i)) >= ties,
+        )
+
+
+def nodding(engine: Mapper, asked: Asked) -> Lean | None:
+    """How the robot leans by the depth images, else by the floor views; the first that the views agree with."""
+    lean, recording, frames = None, engine.recording, engine.numbers
+    assert recording is not None
+    wheels = None if engine.follower is not None else recording.odom_from_base
+    ways: dict[By, Callable[[], Float[np.ndarray, "F 4 4"] | None]] = {
+        "depth": lambda: shown_by_depth(recording.load, frames, engine.camera, len(recording)),
+        "floor": lambda: shown_by_the_floor(
+            engine.looked, engine.start, frames, recording.timestamps, wheels, asked.seed
+        ),
+    }
+    for by, shown in ways.items():
+        lean = asked.leaning(by, frames.tolist(), shown()) or lean
+        if used(lean) is not None:
+            break
+    return lean
+
+
+def lens_checked(found: Moved, asked: Asked, engine: Mapper) -> Moved:
+    """The same; with a warning where the mount is off, or many steps fail, and another lens explains more."""
+    tilt, warnings = found.motion.tilt, found.motion.warnings
+    off = bool(warnings) or max(abs(tilt.pitch_deg), abs(tilt.roll_deg)) > MUCH_DEG
+    if asked.camera.lens.model != "pinhole" or not (off or suspicious(found.motion)):
+        return found
+    warning = lens_warning(asked, (asked.camera, found.motion.camera), engine.numbers)
+    if warning is None:
+        return found
+    return dataclasses.replace(found, motion=dataclasses.replace(found.motion, warnings=(*warnings, warning)))
+
+
+def apart_deg(one: Float[np.ndarray, "F 4 4"], two: Float[np.ndarray, "F 4 4"]) -> float:
+    """How differently a robot leans in the one and the other, degrees, root mean square."""
+    return float(np.degrees(np.sqrt(((one - two)[:, 2, :2] ** 2).sum(1).mean())))
+
+
+def suspicious(motion: Motion) -> bool:
+    """Whether more steps fail on the floor than turns and walls explain: the robot may nod."""
+    near = (motion.pairs.i - motion.pairs.j == 1) & (motion.pairs.total >= MANY)
+    refused = motion.pairs.inliers < FEW_AGREE * motion.pairs.total
+    return bool(near.any() and refused[near].mean() > OFTEN)
