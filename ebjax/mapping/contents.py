@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ebjax.geometry.planar import between, compose
+from ebjax.io.map_file.connection import beside
 from ebjax.io.map_file.file import MapFile
 from ebjax.io.map_file.reader import MapReader
 from ebjax.io.map_file.rows import Edges, Frames, Keyframes, SessionRow
@@ -162,15 +163,19 @@ def open_map_to_read(path: Path) -> MapFile:
 
 def contents_lines(path: Path, contents: Contents) -> list[str]:
     """What is in a map, a line each."""
-    kept = contents.of_kind(CLOSURE) & contents.edges.kept
+    closure = contents.of_kind(CLOSURE)
+    kept = closure & contents.edges.kept
+    going = [one.id for one in contents.sessions if not one.finished]
+    undecided = int(np.isin(contents.keyframes.session[contents.ends(closure)[:, 0]], going).sum())
+    megabytes = sum(file.stat().st_size for file in (path, beside(path, "-wal")) if file.exists()) / 1e6
     opposing = int((kept & contents.edges.opposing).sum())
-    size = path.stat().st_size
-    each = f", {size / 1e3 / len(contents.keyframes):.0f} kB each" if len(contents.keyframes) else ""
-    lines = [
-        f"{path}: {plural(len(contents.sessions), 'session')}, {plural(len(contents.keyframes), 'keyframe')}{each}, "
-        f"{plural(int(kept.sum()), 'loop closure')} kept ({opposing} from opposing views)"
-    ]
-    return lines + [session_line(contents, one) for one in contents.sessions]
+    first = (
+        f"{path}: {plural(len(contents.sessions), 'session')}, {plural(len(contents.keyframes), 'keyframe')}, "
+        f"{megabytes:.1f} MB, {plural(int(kept.sum()), 'loop closure')} kept ({opposing} from opposing views)"
+    )
+    if undecided:
+        first += f", {plural(undecided, 'candidate')} not decided yet"
+    return [first, *(session_line(contents, one) for one in contents.sessions)]
 
 
 def session_line(contents: Contents, session: SessionRow) -> str:

@@ -235,16 +235,18 @@ def _photographs(contents: Contents, out: Path) -> tuple[CameraFile, Float[np.nd
       ValueError: the images are no files, or not there.
     """
     known, logs = contents.keyframes, {one.id: Path(one.name) for one in contents.sessions}
-    files = [logs[session] / name for session, name in zip(known.session.tolist(), known.name, strict=True)]
+    every = [logs[session] / name for session, name in zip(known.session.tolist(), known.name, strict=True)]
+    rows = sorted({file: row for row, file in reversed(list(enumerate(every)))}.values())  # each image once
+    files, sessions = [every[row] for row in rows], known.session[rows].tolist()
     if missing := [file for file in files if not file.is_file()]:
         raise ValueError(f"{out / 'transforms.json'}: needs images that are files, and there is no {missing[0]}")
-    if not set(known.session.tolist()) <= set(contents.looked):
+    if not set(sessions) <= set(contents.looked):
         raise ValueError(f"{out / 'transforms.json'}: the map does not say what the camera of each session is")
-    camera = contents.looked[int(known.session[0])].camera
+    camera = contents.looked[sessions[0]].camera
     mounts = {
         k: one.camera.base_from_camera @ np.linalg.inv(camera.base_from_camera) for k, one in contents.looked.items()
     }
-    poses = matrices(known.pose) @ np.stack([mounts[session] for session in known.session.tolist()])
+    poses = matrices(known.pose[rows]) @ np.stack([mounts[session] for session in sessions])
     return camera, poses, [relative(file, out) for file in files]
 
 
@@ -254,11 +256,17 @@ def _write_pairs(path: Path, contents: Contents, notes: list[str]) -> None:
     logs = {one.id: one.name for one in contents.sessions}
     if len(set(logs.values())) > 1 and all(map(os.path.isabs, logs.values())):
         folder = os.path.commonpath(list(logs.values()))
-        pairs = zip(known.session.tolist(), names, strict=True)
-        names = [os.path.relpath(os.path.join(logs[session], name), folder) for session, name in pairs]
+        files = zip(known.session.tolist(), names, strict=True)
+        names = [os.path.relpath(os.path.join(logs[session], name), folder) for session, name in files]
         notes.append(f"pairs.txt: names are of images in {folder}")
+    # A log that was driven twice has each image once.
+    images = [(logs[session], name) for session, name in zip(known.session.tolist(), names, strict=True)]
+    first = {image: row for row, image in reversed(list(enumerate(images)))}
+    row_of = np.array([first[image] for image in images])
+    follows = np.concatenate([np.stack([rows[:-1], rows[1:]], 1) for rows in map(contents.rows, logs)])
     closures = contents.ends(contents.of_kind(CLOSURE) & contents.edges.kept)
-    write_pairs(path, names, closures, successive=True, sessions=known.session)
+    pairs = row_of[np.concatenate([closures, follows])]
+    write_pairs(path, names, pairs[pairs[:, 0] != pairs[:, 1]])
 
 
 def _page(path: Path, contents: Contents, floor: bytes | None) -> str:

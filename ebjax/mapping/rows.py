@@ -14,6 +14,8 @@ from ebjax.slam.packed import Arrays
 from ebjax.slam.store import Between
 from ebjax.slam.told import unpacked_pairs
 
+EDGES = 1 << 16
+"""Room for so many edges a keyframe: those to earlier ones are numbered from EDGES times its own number on."""
 UNDECIDED = "not thought over yet"
 MEASURED, CARRIED = "used", "nothing measured it: carried on at the last speed"
 
@@ -23,11 +25,10 @@ def keyframe_row(number: int, session: int, name: str, kept: Arrays) -> Keyframe
     return KeyframeRow(number, session, int(kept["at.frame"]), float(kept["at.stamp_s"]), name, kept["at.pose"])
 
 
-def step_row(edge: int, number: int, before: int, pose_before: Float[np.ndarray, "3"], kept: Arrays) -> EdgeRow:
+def step_row(number: int, before: int, pose_before: Float[np.ndarray, "3"], kept: Arrays) -> EdgeRow:
     """The step from the keyframe before.
 
     Args:
-      edge: number of the edge.
       number: of the keyframe.
       before: number of the one before.
       pose_before: where that was thought to be.
@@ -38,23 +39,22 @@ def step_row(edge: int, number: int, before: int, pose_before: Float[np.ndarray,
     inliers, matches = kept["pairs.counts"][mine[0]].tolist() if len(mine) else (0, 0)
     measured = bool(kept["at.measured"])
     return EdgeRow(
-        *(edge, STEP, number, before, False, measured, MEASURED if measured else CARRIED, inverse(step)),
+        *(EDGES * number, STEP, number, before, False, measured, MEASURED if measured else CARRIED, inverse(step)),
         *(inverse_covariance(step, kept["at.step"]), inliers, matches),
     )
 
 
-def closure_rows(first: int, number: int, kept: Arrays) -> list[EdgeRow]:
-    """A closure, numbered from `first`, for every candidate of a keyframe, as far as it is known when that comes."""
-    told, rows = unpacked_pairs(number, kept), []
+def closure_rows(number: int, kept: Arrays) -> list[EdgeRow]:
+    """A closure for every candidate of a keyframe, as far as it is known when that comes."""
+    told = unpacked_pairs(number, kept)
+    rows: list[EdgeRow] = []
     for (j, opposing), distance in zip(kept["candidates"].tolist(), kept["candidates.distance"].tolist(), strict=True):
         inliers, matches, settled = told[number, j, bool(opposing)]
         i_from_j, covariance, _ = more_certain(stacked([settled]), False)
-        rows.append(
-            EdgeRow(
-                *(first + len(rows), CLOSURE, number, j, bool(opposing), False, UNDECIDED, i_from_j[0], covariance[0]),
-                *(inliers, matches, distance),
-            )
-        )
+        edge = EDGES * number + 1 + len(rows)
+        standing = bool(opposing), False, UNDECIDED
+        measured = i_from_j[0], covariance[0], inliers, matches, distance
+        rows.append(EdgeRow(edge, CLOSURE, number, j, *standing, *measured))
     return rows
 
 

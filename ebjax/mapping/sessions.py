@@ -26,9 +26,11 @@ def of_run(sessions: Iterable[SessionRow], log: str, first_stamp_s: float) -> li
 
 
 def left_over(of_one_run: list[SessionRow]) -> list[int]:
-    """Attempts that a finished one has replaced: a process was killed before it could remove them."""
+    """Attempts that nothing goes on with: a finished one has replaced them, or the first of them is gone."""
     last = max((one.id for one in of_one_run if one.finished), default=0)
-    return [one.id for one in of_one_run if not one.finished and one.id < last]
+    unfinished = [one for one in of_one_run if not one.finished]
+    goes_on = any(one.id > last and not one.facts[AGAIN] for one in unfinished)
+    return [one.id for one in unfinished if one.id < last or not goes_on]
 
 
 def known(sessions: Iterable[SessionRow], current: SessionRow) -> set[int]:

@@ -9,8 +9,6 @@
 Rows are the keyframes that the engine knows, of all sessions, in the order of their ids.
 """
 
-import dataclasses
-import hashlib
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -22,12 +20,12 @@ from jaxtyping import Float
 from ebjax.geometry.camera import Camera
 from ebjax.io.map_file.file import MapFile
 from ebjax.io.map_file.rows import SessionRow
-from ebjax.mapping.agreement import check_map, check_session, disagreeing, made_with, settings_of
+from ebjax.mapping.agreement import check_map, check_session, disagreeing, made_with
 from ebjax.mapping.contents import CLOSURE
-from ebjax.mapping.looked_by import NAME, looked_by_arrays
+from ebjax.mapping.going import Going, tell_camera
 from ebjax.mapping.numbering import with_ids, with_rows
 from ebjax.mapping.rows import closure_rows, frame_rows, keyframe_row, step_row
-from ebjax.mapping.sessions import AGAIN, AGREES, facts_of, known, left_over, of_run
+from ebjax.mapping.sessions import AGAIN, AGREES, known
 from ebjax.mapping.walk import packed_walk, unpacked_walk
 from ebjax.slam.believe import KEPT
 from ebjax.slam.config import PipelineConfig
@@ -37,37 +35,11 @@ from ebjax.slam.path import SYSTEMATIC
 from ebjax.slam.path import Path as Walk
 from ebjax.slam.run import Run
 from ebjax.slam.store import Between
+from ebjax.slam.table import Table
 from ebjax.views.run_view import RunView
 
 PATH, POSES, MEASURED = "path", "poses", "measured"
 """States of a finished session."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Going:
-    """A run that goes into a map.
-
-    Attributes:
-      log: its name.
-      first_stamp_s: time of its first frame; name and time say which run it is.
-      config: of the engine.
-      facts: what else must agree to go on with it, as JSON holds it.
-    """
-
-    log: str
-    first_stamp_s: float
-    config: PipelineConfig
-    facts: Mapping[str, Any]
-
-    def agrees(self, camera: Camera, view: RunView, lean: Lean | None) -> dict[str, Any]:
-        """All that must agree to go on with a drive of it."""
-        return {
-            **made_with(self.config, camera, view),
-            **settings_of(self.config),
-            "pixels that are looked at": _digest(view.seen),
-            "lean of the robot": "none" if lean is None else f"{lean.by} {lean.used} {_digest(lean.level_from_base)}",
-            **self.facts,
-        }
 
 
 class MapStore:
@@ -82,21 +54,20 @@ class MapStore:
     def __init__(self, file: MapFile, going: Going, session: SessionRow, notes: tuple[str, ...] = ()):
         """As `open_map`, `temporary_map` and `again` do."""
         self.file, self.current, self.notes = file, session.id, notes
-        self._going, self._temporary = going, None
+        self._going = going
+        self._temporary: tempfile.TemporaryDirectory[str] | None = None
         self._walks: dict[int, Walk | None] = {}
-        keyframes, count = file.keyframes(), len(file.edges())
-        rows = np.isin(keyframes.session, list(known(file.sessions(), session)))
-        self._ids, self._pieces = keyframes.id[rows].tolist(), keyframes.session[rows].tolist()
-        mine = np.flatnonzero(keyframes.session[rows] == session.id)
-        if len(mine) and mine[0] + len(mine) != len(self._ids):
-            later = self._pieces[-1]
+        keyframes, self._rows = file.keyframes(), Table(id=int, session=int)
+        for k in np.flatnonzero(np.isin(keyframes.session, list(known(file.sessions(), session)))).tolist():
+            self._rows.append(id=keyframes.id[k], session=keyframes.session[k])
+        mine = np.flatnonzero(self._rows.session == session.id)
+        if len(mine) and mine[0] + len(mine) != len(self):
             raise ValueError(
-                f"{file.path}: session {session.id} of {session.name} was not finished, and session {later} came after "
-                f"it; begin it anew after --map {file.path} --forget {session.id}"
+                f"{file.path}: session {session.id} of {session.name} was not finished, and session "
+                f"{self.piece(-1)} came after it; begin it anew after --map {file.path} --forget {session.id}"
             )
         self._next = int(keyframes.id[-1]) + 1 if len(keyframes) else 0
-        self._next_edge = int(file.edges().id[-1]) + 1 if count else 0
-        self._pose = file.arrays(self._ids[-1])["at.pose"] if len(mine) else None
+        self._pose = file.arrays(int(self._rows.id[-1]))["at.pose"] if len(mine) else None
 
     def __enter__(self) -> "MapStore":
         return self
@@ -118,18 +89,18 @@ class MapStore:
 
     def __len__(self) -> int:
         """Returns the number of keyframes."""
-        return len(self._ids)
+        return len(self._rows)
 
     def piece(self, row: int) -> int:
         """The session that a keyframe belongs to."""
-        return self._pieces[row]
+        return int(self._rows.session[row])
 
     def settled_step(self, row: int, kept: Arrays) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
         """Of a keyframe of an earlier session: its pose on the path, and the covariance of the step to it.
 
         As its run was thought over at its end; as they came where it never was, or where wheels alone say them.
         """
-        session = self._pieces[row]
+        session = self.piece(row)
         if session not in self._walks:
             measured = self.file.state(session, POSES).get(MEASURED, False)
             self._walks[session] = self.path(session) if measured else None
@@ -145,7 +116,7 @@ class MapStore:
         Raises:
           Damaged: they are not what was written; names the keyframe.
         """
-        return with_rows(self.file.arrays(self._ids[row]), np.array(self._ids))
+        return with_rows(self.file.arrays(int(self._rows.id[row])), self._rows.id)
 
     def keep(self, kept: Arrays, name: str = "", between: Sequence[Between] = ()) -> None:
         """Adds a keyframe, its step and its candidates, and the frames since the one before, in one transaction.
@@ -153,17 +124,16 @@ class MapStore:
         Raises:
           OSError: the disk is full or fails; nothing of the keyframe is written.
         """
-        number, edge, edges = self._next, self._next_edge, []
-        whole = with_ids(kept, np.array([*self._ids, number]))
+        number, edges = self._next, []
+        whole = with_ids(kept, np.append(self._rows.id, number))
         if self._pose is not None:
-            edges.append(step_row(edge, number, self._ids[-1], self._pose, whole))
-        edges += closure_rows(edge + len(edges), number, whole)
-        frames = frame_rows(between, self._ids[-1]) if self._pose is not None else []
+            edges.append(step_row(number, int(self._rows.id[-1]), self._pose, whole))
+        edges += closure_rows(number, whole)
+        frames = frame_rows(between, int(self._rows.id[-1])) if self._pose is not None else []
         row = keyframe_row(number, self.current, name, whole)
         self.file.append(row, whole, [(one, {}) for one in edges], frames)
-        self._next, self._next_edge, self._pose = number + 1, edge + len(edges), row.pose
-        self._ids.append(number)
-        self._pieces.append(self.current)
+        self._next, self._pose = number + 1, row.pose
+        self._rows.append(id=number, session=self.current)
 
     def again(self, camera: Camera, view: RunView, lean: Lean | None = None) -> "MapStore":
         """The same run as that camera, leaning so, sees it: a drive that was killed, or a new one.
@@ -171,13 +141,13 @@ class MapStore:
         This drive can still be read, and nothing is added to it any more.
         """
         agrees = self._going.agrees(camera, view, lean)
-        for one in of_run(self.file.sessions(), self._going.log, self._going.first_stamp_s):
+        for one in self._going.sessions(self.file):
             if not one.finished and one.facts[AGAIN] and disagreeing(one.facts[AGREES], agrees) is None:
                 session = one
                 break
         else:
-            session = _begun(self.file, self._going, agrees, again=True)
-        _tell_camera(self.file, session, camera, view)
+            session = self._going.begin(self.file, agrees, again=True)
+        tell_camera(self.file, session, camera, view)
         another = MapStore(self.file, self._going, session)
         another._temporary = self._temporary
         return another
@@ -189,15 +159,15 @@ class MapStore:
           run: of this session's keyframes.
           rest: frames since its last keyframe.
         """
-        file, ids, found = self.file, np.array(self._ids), run.earlier.candidates
+        file, ids, found = self.file, self._rows.id, run.earlier.candidates
         edges = file.edges(CLOSURE)
         ends = zip(edges.i.tolist(), edges.j.tolist(), edges.opposing.tolist(), strict=True)
         known_edges = dict(zip(ends, edges.id.tolist(), strict=True))
         ends = zip(ids[found.i].tolist(), ids[found.j].tolist(), found.opposing.tolist(), strict=True)
-        said = {known_edges.get(end): reason for end, reason in zip(ends, run.earlier.reasons, strict=True)}
-        said.pop(None, None)  # edges that a repair could not save
+        # A repair may not have saved every edge.
+        said = {known_edges[end]: why for end, why in zip(ends, run.earlier.reasons, strict=True) if end in known_edges}
         placed = set(file.frames(self.current).frame.tolist())
-        file.add(frames=frame_rows([one for one in rest if one.frame not in placed], self._ids[-1]))
+        file.add(frames=frame_rows([one for one in rest if one.frame not in placed], int(ids[-1])))
         file.settle(
             ids,
             np.concatenate([run.earlier.poses, run.poses[run.keyframes]]),
@@ -208,7 +178,7 @@ class MapStore:
         file.put_state(self.current, PATH, packed_walk(run.path))
         file.put_state(self.current, POSES, {POSES: run.poses, MEASURED: np.array(run.motion is not None)})
         file.end_session(self.current)
-        _forget_left_over(file, self._going)
+        self._going.forget_left_over(file)
 
     def path(self, session: int) -> Walk:
         """What the closures of a finished session corrected.
@@ -308,8 +278,8 @@ def temporary_map(
 def _taken_up(
     file: MapFile, going: Going, camera: Camera, view: RunView, lean: Lean | None, notes: tuple[str, ...]
 ) -> MapStore:
-    _forget_left_over(file, going)
-    before = of_run(file.sessions(), going.log, going.first_stamp_s)
+    going.forget_left_over(file)
+    before = going.sessions(file)
     begun = [one for one in before if not one.finished and not one.facts[AGAIN]]
     agrees = going.agrees(camera, view, lean)
     if begun:
@@ -318,30 +288,11 @@ def _taken_up(
         count = len(file.keyframes(session.id))
         notes += (f"{file.path}: goes on with session {session.id} of {going.log} after {count} keyframes",)
     else:
-        session = _begun(file, going, agrees, again=False)
+        session = going.begin(file, agrees, again=False)
         if before:
             notes += (
                 f"{file.path}: holds {going.log} as session {before[-1].id} already; it is added once more, as session "
                 f"{session.id} (--forget {session.id} takes it out again)",
             )
-    _tell_camera(file, session, camera, view)
+    tell_camera(file, session, camera, view)
     return MapStore(file, going, session, (*file.notes, *notes))
-
-
-def _begun(file: MapFile, going: Going, agrees: dict[str, Any], *, again: bool) -> SessionRow:
-    number = file.begin_session(going.log, facts_of(going.log, going.first_stamp_s, agrees, again=again))
-    return next(one for one in file.sessions() if one.id == number)
-
-
-def _tell_camera(file: MapFile, session: SessionRow, camera: Camera, view: RunView) -> None:
-    if NAME not in session.state:
-        file.put_state(session.id, NAME, looked_by_arrays(camera, view))
-
-
-def _forget_left_over(file: MapFile, going: Going) -> None:
-    for number in left_over(of_run(file.sessions(), going.log, going.first_stamp_s)):
-        file.forget(number)
-
-
-def _digest(values: Any) -> str:
-    return hashlib.sha256(np.ascontiguousarray(values).tobytes()).hexdigest()[:16]

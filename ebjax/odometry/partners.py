@@ -35,6 +35,18 @@ def _apply(homography: Float[np.ndarray, "3 3"], points: Float[np.ndarray, "*n 2
     return mapped[..., :2] / mapped[..., 2:]
 
 
+def partners_of_last(view: RunView, poses: Float[np.ndarray, "N 3"]) -> Int[np.ndarray, " K"]:
+    """As `partners`, of the last keyframe alone: rows of the earlier ones."""
+    back = poses[-2 : -REACH - 2 : -1]
+    shares = common_floor(view, between(np.broadcast_to(poses[-1], back.shape), back))
+    chosen = {1}
+    for wanted in SHARED:
+        good = np.flatnonzero(shares >= wanted)
+        if len(good):
+            chosen.add(int(good[-1]) + 1)
+    return len(poses) - 1 - np.array(sorted(chosen), int)
+
+
 def partners(view: RunView, poses: Float[np.ndarray, "N 3"]) -> tuple[Int[np.ndarray, " K"], Int[np.ndarray, " K"]]:
     """Rows (later, earlier) of the pairs that are measured, from where the keyframes are thought to be.
 

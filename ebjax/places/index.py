@@ -6,18 +6,19 @@ ranking of `search`: the mean of that cosine and of the correlation of their map
 and their order alone, never on how they came in.
 
 A place takes 4 PROJECTED_LENGTH bytes and one a component of its vector: 6 kB by fixed words, 60 MB for 10,000 places.
-Maps are not kept: `maps_of` reads those of at most 2 top places a query.
+Of maps only the spectra of those that were compared last are kept (`held_spectra`).
 """
 
-from collections.abc import Callable
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Float, Int, Int8, UInt8
+from jaxtyping import Bool, Float, Int, Int8
 
 from ebjax.places.fixed_words import FixedWords
-from ebjax.places.pairwise import correlate_pairs
+from ebjax.places.held_spectra import HeldSpectra, MapsOf
+from ebjax.places.pairwise import correlate_rows, spectrum
 from ebjax.places.place import Place, turned_map
 
 CHUNK = 4096
@@ -25,8 +26,6 @@ PROJECTED_LENGTH = 512
 PROJECTED = 400
 EXACT = 1024
 """Products of two eight-bit numbers whose sum float32 holds without rounding: 1024 * 127^2 < 2^24."""
-MapsOf = Callable[[Int[np.ndarray, "K"]], tuple[Int8[np.ndarray, "K h w D"], UInt8[np.ndarray, "K h w"]]]
-"""Rows -> maps and weights of their places."""
 Comparable = Bool[np.ndarray, "N"] | int
 """Which rows may be compared, or how many of the first."""
 
@@ -54,7 +53,7 @@ class PlaceIndex:
     def __init__(self, words: FixedWords | None = None, maps_of: MapsOf | None = None):
         if (words is None) != (maps_of is None):
             raise ValueError("an index needs both words and maps_of to correlate maps, or neither")
-        self._words, self._maps_of = words, maps_of
+        self._words, self._spectra = words, None if maps_of is None else HeldSpectra(maps_of)
         self._count = 0
         self._projected: list[np.ndarray] = []
         self._vectors: list[np.ndarray] = []
@@ -109,7 +108,7 @@ class PlaceIndex:
         cosine = np.concatenate([score for _, score in found])
         way = np.repeat([False, True], [len(j) for j, _ in found])
         score, shift = cosine, np.zeros((len(rows), 2), np.int32)
-        if self._maps_of is not None and len(rows):
+        if self._spectra is not None and len(rows):
             correlation, shift = self._correlate(place, rows, way, top)
             score = (cosine + correlation) / 2
         order = np.lexsort((rows, way, -score))
@@ -126,13 +125,17 @@ class PlaceIndex:
         found = []
         for vector, mask in zip(ways, masks, strict=True):
             ours = self._projection(vector)
-            scores = np.concatenate([chunk @ ours for chunk in self._projected])[: self._count]
+            scores = np.concatenate([products(chunk, ours) for chunk in self._filled()])
             rows = _largest(np.where(mask, scores, -np.inf), max(PROJECTED, top))
             rows = rows[mask[rows]]
             cosine = self._cosine(vector, rows)
             order = np.lexsort((rows, -cosine))[:top]
             found.append((rows[order], cosine[order]))
         return found
+
+    def _filled(self) -> Iterator[Float[np.ndarray, "n P"]]:
+        for k, chunk in enumerate(self._projected):
+            yield chunk[: self._count - k * CHUNK]
 
     def _cosine(self, vector: Int8[np.ndarray, "V"], rows: Int[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
         """Exact: sums of EXACT products of integers at a time."""
@@ -142,25 +145,24 @@ class PlaceIndex:
             some = chunks == chunk
             theirs[some], norms[some] = self._vectors[chunk][within[some]], self._norms[chunk][within[some]]
         parts = range(0, len(vector), EXACT)
-        sums = [theirs[:, k : k + EXACT].astype(np.float32) @ vector[k : k + EXACT].astype(np.float32) for k in parts]
+        sums = [products(theirs[:, k : k + EXACT], vector[k : k + EXACT]) for k in parts]
         return np.sum(sums, 0, dtype=np.float64) / (norms * _norm(vector))
 
     def _correlate(
         self, place: Place, rows: Int[np.ndarray, "K"], way: Bool[np.ndarray, "K"], top: int
     ) -> tuple[Float[np.ndarray, "K"], Int[np.ndarray, "K 2"]]:
         """By one program whose shapes depend on `top` alone. An opposing query is turned, not its references."""
-        assert self._maps_of is not None and self._words is not None
+        assert self._spectra is not None and self._words is not None
         assert place.map is not None and place.weight is not None
-        maps, weights = self._maps_of(rows)
-        slots = np.where(way, top + np.cumsum(way) - 1, np.cumsum(~way) - 1)
-        references = np.zeros((2 * top, *place.map.shape), np.int8)
-        shown = np.zeros((2 * top, *place.weight.shape), np.uint8)
-        references[slots], shown[slots] = maps, weights
-        queries = np.stack([place.map, turned_map(place.map, self._words)])
-        query_weights = np.stack([place.weight, place.weight[::-1, ::-1]])
-        score, shift = jax.tree.map(np.asarray, correlate_pairs(queries, query_weights, references, shown))
-        shift = shift[slots] * np.where(way, -1, 1)[:, None]
-        return score[slots].astype(np.float64), shift.astype(np.int32)
+        slots = self._spectra.slots(rows)
+        assert self._spectra.held is not None
+        asked, column = np.zeros((2, top), np.int64), np.where(way, np.cumsum(way), np.cumsum(~way)) - 1
+        asked[way.astype(int), column] = slots
+        straight = spectrum(place.map, place.weight)
+        other = spectrum(turned_map(place.map, self._words), place.weight[::-1, ::-1])
+        found = jax.tree.map(np.asarray, correlate_rows(straight, other, self._spectra.held, asked))
+        score, shift = (part[way.astype(int), column] for part in found)
+        return score.astype(np.float64), (shift * np.where(way, -1, 1)[:, None]).astype(np.int32)
 
     def _mask(self, which: Comparable) -> Bool[np.ndarray, "N"]:
         if isinstance(which, np.ndarray):
@@ -178,7 +180,7 @@ class PlaceIndex:
                 f"a place of {_told(shape)} beside places of {_told(self._shape)}: look at a floor of the same size "
                 "with the same descriptor"
             )
-        if self._maps_of is not None and place.map is None:
+        if self._spectra is not None and place.map is None:
             raise ValueError("this place has no map to correlate; make the index without maps_of")
 
 
@@ -205,6 +207,13 @@ class Projection:
         padded = np.concatenate([vector, np.zeros(self._padding, np.int8)]) * self._sign
         sums = padded[self._order].reshape(-1, PROJECTED_LENGTH).sum(0, dtype=np.int64)
         return (sums / _norm(vector)).astype(np.float32)
+
+
+def products(
+    rows: Float[np.ndarray, "n P"] | Int8[np.ndarray, "n P"], vector: Float[np.ndarray, "P"] | Int8[np.ndarray, "P"]
+) -> Float[np.ndarray, "n"]:
+    """Of every row with the vector, in float32, each by itself; threads of a BLAS would wait on the network's."""
+    return np.einsum("ij,j->i", rows.astype(np.float32, copy=False), vector.astype(np.float32, copy=False))
 
 
 def _norm(vector: Int8[np.ndarray, "V"]) -> float:

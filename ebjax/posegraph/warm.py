@@ -4,20 +4,23 @@ import numpy as np
 
 from ebjax.geometry.lie import GROUPS
 from ebjax.posegraph.capacity import room_for
-from ebjax.posegraph.consistency import consistent_set
-from ebjax.posegraph.graph import make_graph
-from ebjax.posegraph.lm import cut_off, solve
-from ebjax.posegraph.marginals import marginals
+from ebjax.posegraph.graph import PoseGraph, make_graph
+from ebjax.posegraph.lm import solve
 
 _POSES = 8
 
 
-def compile_for(rows: int, edges: int, closures: int, *, kernel: str = "consensus", group: str = "se2") -> None:
-    """Compiles what a graph of so many rows and edges, and so many closures among these, is going to need.
+def compile_solve_for(rows: int, *, kernel: str = "cauchy", group: str = "se2") -> None:
+    """Compiles what `solve` of a graph of so many rows, and up to twice as many edges, is going to need.
 
-    That is `solve`, `cut_off`, `marginals`, `relative_marginals` and `consistent_set` at their capacities, for one
-    kernel and float64; what is compiled or in JAX's cache already takes no time. May run in a thread.
+    For one kernel and float64; what is compiled or in JAX's cache already takes little time. May run in a thread.
     """
+    graph = _small(group)
+    with room_for(rows, 2 * rows):
+        solve(graph, kernel=kernel)
+
+
+def _small(group: str) -> PoseGraph:
     lie, rng = GROUPS[group], np.random.default_rng(0)
     chain, x = np.arange(_POSES - 1), -3 if group == "se3" else 0
     i, j = np.append(chain, [_POSES - 1, _POSES - 2]), np.append(chain + 1, [0, 1])
@@ -25,11 +28,4 @@ def compile_for(rows: int, edges: int, closures: int, *, kernel: str = "consensu
     poses[:, x] = np.arange(_POSES) + 1e-3 * rng.normal(size=_POSES)
     measured[:, x] = j - i
     information = np.tile(1e4 * np.eye(lie.dim), (len(i), 1, 1))
-    graph = make_graph(poses, i, j, measured, information, robust=i > j)
-    loops = slice(len(chain), None)
-    spread = np.linalg.inv(information)
-    with room_for(rows, edges, closures):
-        solve(graph, kernel=kernel)
-        cut_off(graph, poses, kernel=kernel)
-        marginals(graph, np.array([1]), kernel=kernel)
-        consistent_set(poses, spread[: len(chain)], i[loops], j[loops], measured[loops], spread[loops], np.ones(2))
+    return make_graph(poses, i, j, measured, information, robust=i > j)

@@ -14,9 +14,12 @@ from jaxtyping import Float
 from ebjax.geometry.planar import between, compose
 from ebjax.posegraph.graph import PoseGraph
 from ebjax.posegraph.lm import solve
+from ebjax.posegraph.warm import compile_solve_for
 
 SHARE, LEAST = 64, 4
 STEPS = 20
+FIRST = 256
+"""Rows of the smallest graph program."""
 
 
 class Corrector:
@@ -24,6 +27,8 @@ class Corrector:
 
     def __init__(self):
         self._pool = ThreadPoolExecutor(1)
+        self._beside = ThreadPoolExecutor(1)
+        self._compiled = FIRST
         self._waiting: Future | None = None
         self._begun = 0
         self._settled = np.zeros((0, 3))
@@ -42,6 +47,10 @@ class Corrector:
         if self._waiting is not None:
             self._settled = self._waiting.result()
         self._begun = rows
+        if 2 * rows > self._compiled:
+            # At half its capacity: the programs of larger graphs are ready when they are needed.
+            self._compiled *= 2
+            self._beside.submit(compile_solve_for, self._compiled)
         made = graph(self.poses(path))
         self._waiting = self._pool.submit(lambda: np.asarray(solve(made, max_steps=STEPS).poses))
         return taken
@@ -69,3 +78,4 @@ class Corrector:
     def close(self) -> None:
         """Waits for what was begun."""
         self._pool.shutdown()
+        self._beside.shutdown(cancel_futures=True)

@@ -49,15 +49,18 @@ def _describe(
     *,
     extractor: Extractor | None,
     descriptor: Descriptor | None,
-) -> tuple[UInt8[Array, "h w 3"], Bool[Array, "h w"], Mapping[str, Array] | None, Landmarks | None]:
-    """The view, its floor, and what may be computed in the same program."""
+) -> tuple[
+    UInt8[Array, "h w 3"], Float[Array, "h w 3"], Bool[Array, "h w"], Mapping[str, Array] | None, Landmarks | None
+]:
+    """The view, the same in [0, 1], its floor, and what may be computed in the same program."""
     colours = floor_view(rgb, samples)
     floor = clear_floor(depth_m.astype(view.image_from_view.dtype), view, camera)
     place = None if descriptor is None else descriptor.look(colours, floor, rgb)
     landmarks = None
     if extractor is not None:
         landmarks = located(extractor.extract(colours, floor), floor, depth_m, colours, view, camera)
-    return jnp.round(colours * 255).astype(jnp.uint8), floor, place, landmarks
+    shown = jnp.round(colours * 255).astype(jnp.uint8)
+    return shown, shown.astype(jnp.float32) / 255, floor, place, landmarks
 
 
 _located = jax.jit(located)
@@ -84,14 +87,13 @@ def describe(
       extractor: of local features.
       descriptor: of places.
     """
-    rgb, depth_m = jnp.asarray(rgb), jnp.asarray(depth_m)
     inside = {
         "extractor": extractor if extractor.jitted else None,
         "descriptor": descriptor if descriptor.jitted else None,
     }
-    shown, floor, place, landmarks = _describe(rgb, depth_m, samples, view, camera, **inside)
-    # What both look at is one and the same array: an `Eye` looks once.
-    colours, turned = shown.astype(jnp.float32) / 255, None
+    # What both look at is one and the same array, `colours`: an `Eye` looks once.
+    shown, colours, floor, place, landmarks = _describe(rgb, depth_m, samples, view, camera, **inside)
+    turned = None
     if place is None:
         place = descriptor.look(colours, floor, rgb)
     if landmarks is None:

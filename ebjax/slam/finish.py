@@ -84,6 +84,7 @@ def finish(engine: Mapper, again: Again) -> Run:
     if read < 2:
         raise ValueError(f"{read} of {read + len(engine.broken)} frames could be read; at least two are needed")
     begun = time.perf_counter()
+    engine.corrector.close()
     moved = None
     if engine.config.motion != "wheels":
         moved = think_over(engine, again)

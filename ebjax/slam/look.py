@@ -5,7 +5,6 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
@@ -18,7 +17,7 @@ from ebjax.odometry.floor_steps import FloorPairs
 from ebjax.places.descriptor import Descriptor
 from ebjax.slam.describe import Described, describe
 from ebjax.slam.packed import floor_of, landmarks_of, view_of
-from ebjax.slam.store import Store
+from ebjax.slam.store import Shelf
 from ebjax.slam.told import Pair, Told
 from ebjax.views.floor_view import view_taps
 from ebjax.views.run_view import RunView, remounted_view
@@ -42,7 +41,7 @@ class Eyes:
     def __init__(self, camera: Camera, view: RunView, extractor: Extractor, descriptor: Descriptor):
         self.camera, self.view, self.extractor, self.descriptor = camera, view, extractor, descriptor
         self._samples = _taps(view, camera)
-        self._blank = jnp.zeros((camera.height, camera.width), jnp.float32)
+        self._blank = np.zeros((camera.height, camera.width), np.float32)
 
     def describe(
         self,
@@ -76,7 +75,7 @@ class Looked:
     """
 
     def __init__(
-        self, store: Store, view: RunView, camera: Camera, turn: Callable | None, tolerance_m: float, seed: int
+        self, store: Shelf, view: RunView, camera: Camera, turn: Callable | None, tolerance_m: float, seed: int
     ):
         self.store, self.view, self.camera = store, view, camera
         self._turn, self._tolerance_m, self._seed = turn, tolerance_m, seed

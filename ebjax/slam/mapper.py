@@ -23,7 +23,7 @@ from ebjax.odometry.bridge import step_of
 from ebjax.odometry.causal import Causal
 from ebjax.odometry.floor_steps import more_certain, table_of
 from ebjax.odometry.image_corners import image_corners
-from ebjax.odometry.partners import REACH, partners
+from ebjax.odometry.partners import REACH, partners_of_last
 from ebjax.odometry.steps import Steps, joined, no_steps
 from ebjax.places.descriptor import descriptor
 from ebjax.places.fixed_words import FixedWords, fixed_words
@@ -114,7 +114,7 @@ class Mapper:
         self.follower: Follower | None = None
         self.seconds: dict[str, float] = {}
         self._images: dict[int, tuple[np.ndarray, np.ndarray | None]] = {}
-        self._asked: Float[np.ndarray, 3] | None = None
+        self._asked: np.ndarray | None = None
         self._between: list[Between] = []
         self._in_map = self._begun_in_map = np.zeros(0, bool)
         pieces = [self.store.piece(row) for row in range(len(self.store))]
@@ -234,7 +234,8 @@ class Mapper:
     def _last_keyframe(self) -> int:
         return int(self.keyframes.frame[-1]) if len(self.keyframes) > self.start else -1
 
-    def _keyframe(self, number: int, kept: Arrays) -> tuple[tuple[Closure, ...], bool]:
+    def _arrived(self, number: int, kept: Arrays) -> int:
+        """Hangs a keyframe on the path; returns its row."""
         row, self.store.newest = len(self.store), kept
         stamp_s, odom = self.frames.stamp_s[number], self.frames.odom[number]
         self.frames.row[number] = row
@@ -243,6 +244,10 @@ class Mapper:
         if row:
             step = np.linalg.norm(self.chain.poses[row, :2] - self.chain.poses[row - 1, :2])
             self.keyframes.travelled[row] = self.keyframes.travelled[row - 1] + step * (row > self.start)
+        return row
+
+    def _keyframe(self, number: int, kept: Arrays) -> tuple[tuple[Closure, ...], bool]:
+        row = self._arrived(number, kept)
         alike = self._alike(row, kept)
         first = (alike.j[0], alike.opposing[0], alike.distance[0]) if len(alike.j) else (-1, False, np.inf)
         self.firsts.append(j=first[0], opposing=first[1], distance=first[2])
@@ -274,9 +279,8 @@ class Mapper:
             steps = no_steps()
         else:
             first = max(self.start, row - REACH)
-            i, j = partners(self.view, self._way(first))
-            mine = i == row - first
-            pairs = self.looked.pairs(i[mine] + first, j[mine] + first)
+            j = first + partners_of_last(self.view, self._way(first))
+            pairs = self.looked.pairs(np.full(len(j), row), j)
             steps = table_of(pairs, self.camera, self.config.tolerance_m)
             if not (steps.used & (steps.j == row - 1)).any():
                 steps = joined([steps, self._bridge(row, stamp_s, counted)])

@@ -48,8 +48,13 @@ def worth_verifying(alike: Alike, row: int, path: Walked, view: RunView, config:
     good = ~known
     sigmas = config.believe.odometry_sigmas
     good[known] = plausible(i[known], alike.j[known], path.poses, view.centre_m, view.extent_m, path.steps, sigmas)
-    chosen = np.zeros(len(i), bool)
+    return best_of_each_way(alike, good, config.verify)
+
+
+def best_of_each_way(alike: Alike, good: Bool[np.ndarray, " K"], count: int) -> Alike:
+    """The first `count` of each direction among those that are good."""
+    chosen = np.zeros(len(alike.j), bool)
     for way in (False, True):
         mine = good & (alike.opposing == way)
-        chosen |= mine & (np.cumsum(mine) <= config.verify)
+        chosen |= mine & (np.cumsum(mine) <= count)
     return Alike(alike.j[chosen], alike.opposing[chosen], alike.distance[chosen])

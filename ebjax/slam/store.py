@@ -19,7 +19,16 @@ class Between(NamedTuple):
 
 
 @runtime_checkable
-class Store(Protocol):
+class Shelf(Protocol):
+    """What packed keyframes are read from, by row."""
+
+    def arrays(self, row: int) -> Arrays:
+        """Those of a keyframe."""
+        ...
+
+
+@runtime_checkable
+class Store(Shelf, Protocol):
     """Packed keyframes with all that was measured when they came, by row.
 
     What `keep` was given is there for good when it returns, or it raises OSError.
@@ -43,10 +52,6 @@ class Store(Protocol):
 
     def __len__(self) -> int:
         """Returns the number of keyframes."""
-        ...
-
-    def arrays(self, row: int) -> Arrays:
-        """Those of a keyframe."""
         ...
 
     def keep(self, kept: Arrays, name: str, between: Sequence[Between]) -> None:

@@ -6,7 +6,6 @@ import json
 from pathlib import Path
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from ebjax.evaluation.run import spread_rows
@@ -136,7 +135,7 @@ def match_figure(sequence: Sequence, load: Load, result: Run, view: RunView, k: 
         seen_by = view, result.camera
         if result.lean is not None and result.lean.used:
             seen_by = tilted(*seen_by, result.lean.level_from_base[frame])
-        ideal = apply(seen_by[0].image_from_view, jnp.asarray(keypoints, jnp.float64))
+        ideal = apply(seen_by[0].image_from_view, np.asarray(keypoints, np.float64))
         points.append(np.asarray(raw_from_ideal(seen_by[1], ideal)))
     used = np.asarray(verified.matched)
     caption = (

@@ -4,6 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from ebjax.command import setup_jax
+
 sys.path.insert(0, str(Path(__file__).parent))
 small_run = importlib.import_module("small_run")
 
@@ -12,6 +14,7 @@ class Whole:
     """A run that was kept in a map from end to end: the map's file, what came out, and its keyframes' arrays."""
 
     def __init__(self, path):
+        setup_jax()
         self.path = path
         with small_run.opened(path) as store:
             self.run = small_run.finished(store)

@@ -107,13 +107,21 @@ def finished(store, run=None, config=CONFIG, told=nothing, mounted=None):
     return found
 
 
-def drive_and_tell(path, connection, config=CONFIG):
-    """A process of its own: every keyframe that is kept is told of; at the end what came out."""
+def drive_and_tell(path, connection, tilt_deg=0.0, wheels=True):
+    """A process of its own: every frame is told of; at the end what came out.
+
+    Args:
+      path: of the map.
+      connection: what is told to.
+      tilt_deg: by how much more the camera is tilted than is said; the run is driven once more then.
+      wheels: whether there are any.
+    """
     from ebjax.command import setup_jax
 
     setup_jax()
-    with opened(Path(path), config) as store:
-        found = finished(store, config=config, told=lambda update: connection.send(update.frame))
+    run = recording(pitch_deg=35.0 + tilt_deg, wheels=wheels)
+    with opened(Path(path)) as store:
+        found = finished(store, run, told=lambda update: connection.send(update.frame))
         connection.send(result(found))
 
 
@@ -129,6 +137,8 @@ def assert_same(one, other):
 
 
 def held(path):
-    """How many keyframes are in a map."""
+    """How many keyframes are in a map; none where there is no map yet."""
+    if not path.exists():
+        return 0
     with MapFile.open(path, write=False) as file:
         return len(file.keyframes())

@@ -6,7 +6,7 @@ import pytest
 
 from ebjax.geometry.camera import FloorView, camera_over_floor
 from ebjax.geometry.planar import between, chained
-from ebjax.odometry.partners import REACH, SHARED, common_floor, partners
+from ebjax.odometry.partners import REACH, SHARED, common_floor, partners, partners_of_last
 from ebjax.views.run_view import RunView, choose_floor, from_camera, from_quad
 
 CAMERA = camera_over_floor(380.0, 380.0, 319.5, 239.5, 640, 480, 0.54, np.radians(19), 0.0, 0.27)
@@ -102,3 +102,12 @@ def test_few_keyframes(count):
     later, earlier = partners(METRIC, straight(count, 0.1))
     np.testing.assert_array_equal(later, np.arange(1, count))
     np.testing.assert_array_equal(earlier, np.arange(count - 1))
+
+
+@pytest.mark.parametrize(("count", "seed"), [(2, 0), (5, 1), (40, 2)])
+def test_the_last_has_the_partners_that_it_has_among_all(count, seed):
+    steps = np.random.default_rng(seed).normal([0.15, 0, 0], [0.05, 0.02, 0.2], (count - 1, 3))
+    poses = chained(steps)
+    later, earlier = partners(METRIC, poses)
+    for k in range(1, count):
+        np.testing.assert_array_equal(np.sort(partners_of_last(METRIC, poses[: k + 1])), np.sort(earlier[later == k]))

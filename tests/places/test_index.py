@@ -7,7 +7,7 @@ import pytest
 from ebjax.places import index as module
 from ebjax.places.fixed_words import fixed_words
 from ebjax.places.index import PlaceIndex, Projection
-from ebjax.places.pairwise import correlate_pairs
+from ebjax.places.pairwise import correlate_rows, spectrum
 from ebjax.places.place import Place, turned, turned_map
 
 SIZE, CHANNELS, LENGTH = (6, 5), 32, 4096
@@ -59,9 +59,11 @@ def exhaustive(places, query, masks, top):
             ours = turned_map(query.map, WORDS) if way else query.map
             weight = query.weight[::-1, ::-1] if way else query.weight
             other = places[row]
-            score, shift = correlate_pairs(ours[None], weight[None], other.map[None], other.weight[None])
-            shift = np.asarray(shift[0]) * (-1 if way else 1)
-            found.append((row, bool(way), (cosine[row] + float(score[0])) / 2, *shift))
+            one = spectrum(ours, weight)
+            held = jax.tree.map(lambda leaf: leaf[None], spectrum(other.map, other.weight))
+            score, shift = (np.asarray(part)[0, 0] for part in correlate_rows(one, one, held, np.zeros((2, 1), int)))
+            shift = shift * (-1 if way else 1)
+            found.append((row, bool(way), (cosine[row] + float(score)) / 2, *shift))
     return sorted(found, key=lambda one: -one[2])
 
 

@@ -1,12 +1,23 @@
 """The correlation of pairs against sums over cells, and against `correlate` where both maps see the same."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from ebjax.places.correlation import MIN_OVERLAP, correlate, overlap_weight, spectrum
 from ebjax.places.descriptor_map import MapSpace
-from ebjax.places.pairwise import correlate_pairs
+from ebjax.places.pairwise import correlate_rows
+from ebjax.places.pairwise import spectrum as map_spectrum
+
+
+def correlate_pairs(queries, query_weights, references, reference_weights):
+    """The first half of the references against the first query, the other half against the second."""
+    straight, turned = (map_spectrum(m, w) for m, w in zip(queries, query_weights, strict=True))
+    held = [map_spectrum(m, w) for m, w in zip(references, reference_weights, strict=True)]
+    held = jax.tree.map(lambda *leaves: jnp.stack(leaves), *held)
+    score, shift = correlate_rows(straight, turned, held, np.arange(len(references)).reshape(2, -1))
+    return np.asarray(score).ravel(), np.asarray(shift).reshape(-1, 2)
 
 
 def drawn(count, size, channels, seed, hidden=0.2):

@@ -11,7 +11,7 @@ from ebjax.posegraph import analyse, marginals, solve, stepped
 from ebjax.posegraph.capacity import at_capacity, capacities, capacity, concrete, room_for
 from ebjax.posegraph.lm import _prepared, _solve, cut_off
 from ebjax.posegraph.marginals import relative_marginals
-from ebjax.posegraph.warm import compile_for
+from ebjax.posegraph.warm import compile_solve_for
 
 PLANAR = ["none", "cauchy", "huber", "geman-mcclure", "dcs", "tls", "gnc-tls", "gnc-gm", "pcm", "consensus"]
 SPATIAL = ["cauchy", "tls", "consensus"]
@@ -78,8 +78,7 @@ def test_there_is_room_for_more_inside():
     assert capacity(3, "rows") == 256
 
 
-@pytest.mark.parametrize("group", ["se2", "se3"])
-@pytest.mark.parametrize("kernel", ["cauchy", "consensus"])
+@pytest.mark.parametrize("group, kernel", [("se2", "consensus"), ("se2", "tls"), ("se3", "cauchy")])
 def test_inert_rows_and_edges_change_nothing(ring, group, kernel):
     graph, _ = ring(group, n=40, false_loops=2)
     rows = np.array([3, 20, 39])
@@ -90,8 +89,8 @@ def test_inert_rows_and_edges_change_nothing(ring, group, kernel):
         cut = cut_off(graph, little.poses, kernel=kernel)
         spread = marginals(here, rows), relative_marginals(here, rows, rows[::-1])
     np.testing.assert_array_equal(cut, cut_off(graph, little.poses, kernel=kernel))
-    np.testing.assert_allclose(spread[0], marginals(here, rows), rtol=1e-11, atol=1e-18)
-    np.testing.assert_allclose(spread[1], relative_marginals(here, rows, rows[::-1]), rtol=1e-11, atol=1e-18)
+    np.testing.assert_allclose(spread[0], marginals(here, rows), rtol=1e-11, atol=1e-14)
+    np.testing.assert_allclose(spread[1], relative_marginals(here, rows, rows[::-1]), rtol=1e-11, atol=1e-14)
     inside = jax.jit(lambda g, s: marginals(g, rows, structure=s))(here, analyse(here))
     np.testing.assert_allclose(spread[0], inside, rtol=1e-8, atol=1e-14)
 
@@ -105,24 +104,26 @@ def test_an_exact_fill_is_left_as_it_is(ring):
 
 @pytest.mark.parametrize("group", ["se2", "se3"])
 def test_graphs_of_one_capacity_compile_once(ring, group, counted):
-    compile_for(60, 100, 20, group=group)
     graphs = [jax.tree.map(np.asarray, ring(group, n=n, loops=loops)[0]) for n, loops in ((60, 5), (77, 12), (31, 3))]
-    solve(graphs[0], kernel="consensus")
+
+    def answered(graph):
+        poses = np.asarray(solve(graph, kernel="consensus").poses)
+        cut_off(graph, poses, kernel="consensus")
+        marginals(replace(graph, poses=poses), np.array([3, 7]), kernel="consensus")
+
+    answered(graphs[0])
     with counted() as programs:
         for graph in graphs:
-            poses = np.asarray(solve(graph, kernel="consensus").poses)
-            cut_off(graph, poses, kernel="consensus")
-            marginals(replace(graph, poses=poses), np.array([3, 7]), kernel="consensus")
+            answered(graph)
     assert not programs.asked
     assert len(graphs[1].poses) == 77
 
 
 def test_what_is_to_come_is_made_before(ring, counted):
-    compile_for(300, 700, 40, kernel="tls")
+    compile_solve_for(300, kernel="tls")
     graph = jax.tree.map(np.asarray, ring(n=270, loops=300)[0])
     with counted() as programs:
         found = solve(graph, kernel="tls")
-        cut_off(graph, np.asarray(found.poses), kernel="tls")
     assert not programs.asked
     assert found.poses.shape == (270, 3)
 

@@ -23,7 +23,7 @@ def refused(capsys, sequence, out, *flags):
         run(main, Config, [str(sequence), "--out", str(out), *flags])
     assert stop.value.code == 2
     assert not out.exists()
-    lines = capsys.readouterr().err.strip().splitlines()
+    lines = [line for line in capsys.readouterr().err.splitlines() if not line.startswith("frame ")]
     assert len(lines) == 1
     assert lines[0].startswith("error: ")
     return lines[0]
@@ -210,6 +210,71 @@ def test_a_camera_of_other_images_is_refused(rendered, tmp_path, capsys):
 )
 def test_bad_flags_are_named(rendered, tmp_path, capsys, flags, word):
     assert word in refused(capsys, rendered, tmp_path / "run", *flags)
+
+
+def test_other_programs_get_their_files(rendered, tmp_path, capsys):
+    """Kept in a map, the run is the same, and the map says the same when it is exported."""
+    out, kept = tmp_path / "run", tmp_path / "building.ebmap"
+    slam(rendered, out, "--map", str(kept))
+    printed = capsys.readouterr().out
+    assert f"{kept}: holds the run as session 1" in printed
+    for name in ("nav2_map.yaml", "nav2_map.png", "pairs.txt", "transforms.json"):
+        assert name in printed and (out / name).is_file()
+    run(main, Config, ["--map", str(kept), "--export", "--out", str(tmp_path / "exported")])
+    names = {file.name for file in (tmp_path / "exported").iterdir()}
+    assert names >= {"trajectory.tum", "pose_graph.g2o", "loop_closures.csv", "floor_map.png", "transforms.json"}
+
+    def both(name, read):
+        return [read(folder / name) for folder in (out, tmp_path / "exported")]
+
+    one, other = both("trajectory.tum", read_tum)
+    np.testing.assert_array_equal(other.poses, one.poses)
+    np.testing.assert_array_equal(other.timestamps, one.timestamps)
+    one, other = both("pairs.txt", lambda path: path.read_text())
+    assert one == other
+    one, other = both("transforms.json", lambda path: json.loads(path.read_text())["frames"])
+    assert [frame["file_path"] for frame in one] == [frame["file_path"] for frame in other]
+    matrices = [np.array([frame["transform_matrix"] for frame in frames]) for frames in (one, other)]
+    np.testing.assert_allclose(*matrices, atol=1e-12)
+    one, other = both("pose_graph.g2o", lambda path: read_g2o(path)[0])
+    np.testing.assert_allclose(np.asarray(other.poses), np.asarray(one.poses), atol=1e-12)
+    np.testing.assert_allclose(np.asarray(other.measured), np.asarray(one.measured), atol=1e-12)
+
+    shutil.copytree(rendered, tmp_path / "other")
+    pose = np.array(json.loads((rendered / "camera.json").read_text())["T_base_camera"])
+    pose[2, 3] *= 1.2
+    edit_json(tmp_path / "other" / "camera.json", T_base_camera=pose.tolist())
+    capsys.readouterr()
+    line = refused(capsys, tmp_path / "other", tmp_path / "none", "--map", str(kept))
+    assert "building.ebmap: was made with mount" in line
+
+
+@pytest.mark.parametrize(
+    ("flags", "words"),
+    [
+        (["--export"], ["--export is for a map", "--map FILE"]),
+        (["LOG", "--map", "MAP", "--export"], ["--export", "leave LOG out"]),
+        (["--map", "MAP", "--no-views", "--forget", "1"], ["one of them at a time"]),
+        (["--map", "MAP"], ["MAP: there is no such map", "LOG --map MAP"]),
+        (["--map", "MAP", "--live"], ["--live shows a run", "name a LOG"]),
+        (["--map", "MAP", "--save-rrd", "a.rrd"], ["--save-rrd shows a run"]),
+        (["--map", "MAP", "--localise"], ["localise"]),
+    ],
+)
+def test_flags_of_a_map_that_do_not_go_together(tmp_path, monkeypatch, capsys, flags, words):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as stop:
+        run(main, Config, flags)
+    assert stop.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("error: ") and all(word in line for word in words), line
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_run_is_recorded_for_rerun(rendered, tmp_path):
+    pytest.importorskip("rerun", reason="needs rerun-sdk")
+    slam(rendered, tmp_path / "run", "--save-rrd", str(tmp_path / "run.rrd"))
+    assert (tmp_path / "run.rrd").stat().st_size > 10_000
 
 
 def test_the_real_corridor(data, tmp_path):
