@@ -2,6 +2,7 @@
 
 import dataclasses
 import typing
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -78,8 +79,8 @@ def remounted_landmarks(landmarks: Landmarks, camera: Camera) -> Landmarks:
     # Runs of other lengths share the program.
     more = (1 << max(6, (len(pixels) - 1).bit_length())) - len(pixels)
     filled = (np.pad(x, [(0, more)] + [(0, 0)] * (x.ndim - 1)) for x in (pixels, range_m))
-    floor, points = (np.asarray(x)[: len(pixels)] for x in _mounted(*filled, camera))
-    return jax.tree.map(np.asarray, dataclasses.replace(landmarks, floor_points=floor, points=points))
+    moved: Any = tuple(np.asarray(x)[: len(pixels)] for x in _mounted(*filled, camera))
+    return jax.tree.map(np.asarray, dataclasses.replace(landmarks, floor_points=moved[0], points=moved[1]))
 
 
 @jax.jit

@@ -37,8 +37,8 @@ class Watched:
         def told(update: Update) -> None:
             if live is not None:
                 live.show(update, floor_from_view)
-            closures = int(engine.belief.kept.sum())
-            ticking.update(update.frame, len(engine.keyframes), closures, update.milliseconds)
+            closures = int((engine.belief.kept & (engine.candidates.i >= engine.start)).sum())
+            ticking.update(update.frame, len(engine.numbers), closures, update.milliseconds)
             if update.frame + 1 == self._total:
                 self._ticking.close()
 

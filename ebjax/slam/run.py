@@ -36,6 +36,12 @@ class Earlier:
     reasons: list[str]
     in_map: bool
 
+    @property
+    def closures(self) -> int:
+        """How many kept ones tie the run to earlier runs."""
+        kept = np.array([reason == KEPT for reason in self.reasons], bool)
+        return int((kept & (self.candidates.i >= self.count) & (self.candidates.j < self.count)).sum())
+
 
 @dataclasses.dataclass(frozen=True)
 class Run:

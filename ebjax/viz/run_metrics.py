@@ -22,6 +22,7 @@ def run_metrics(sequence: Sequence, broken: Mapping[str, str], result: Run) -> d
     before = result.path.everywhere(result.path.poses)
     wheels = before if sequence.odom_from_base is None else planar(sequence.odom_from_base)
     travelled = float(np.linalg.norm(np.diff(wheels[:, :2], axis=0), axis=1).sum())
+    joined = result.earlier.closures
     metrics: dict[str, Any] = {
         "sequence": str(sequence.path),
         "frames": len(sequence),
@@ -34,7 +35,10 @@ def run_metrics(sequence: Sequence, broken: Mapping[str, str], result: Run) -> d
         "closures_opposing": int((kept & candidates.opposing).sum()),
         "closures_by_depth": int((kept & result.by_depth).sum()),
         "reasons": reason_counts(result.reasons),
-        "nothing_kept": None if kept.any() else why_nothing(result.reasons, len(candidates.i)),
+        "nothing_kept": None if kept.any() or joined else why_nothing(result.reasons, len(candidates.i)),
+        "map": None
+        if not result.earlier.count
+        else {"keyframes": result.earlier.count, "closures": joined, "in_map": result.earlier.in_map},
         "frames_followed": result.followed,
         "motion": None if result.motion is None else motion_metrics(result.motion),
         "scale_from_height_m": None
@@ -92,7 +96,10 @@ def summary_lines(metrics: Mapping[str, Any]) -> list[str]:
         lines.append(f"scale: without wheels and depth all lengths rest on the camera's height of {height:.3f} m")
     if lean := metrics["odometry_tilt"]:
         lines.append(lean["says"])
-    if not metrics["closures_kept"]:
+    if there := metrics.get("map"):
+        where = "in its frame" if there["in_map"] else "not joined to it: the trajectory is in the run's own frame"
+        lines.append(f"map: {there['closures']} closures to its {there['keyframes']} keyframes; the run is {where}")
+    if metrics["nothing_kept"]:
         lines.append(metrics["nothing_kept"])
     if truth := metrics.get("closures_against_truth"):
         lines.append(
