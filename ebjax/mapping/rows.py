@@ -50,11 +50,9 @@ def closure_rows(number: int, kept: Arrays) -> list[EdgeRow]:
     rows: list[EdgeRow] = []
     for (j, opposing), distance in zip(kept["candidates"].tolist(), kept["candidates.distance"].tolist(), strict=True):
         inliers, matches, settled = told[number, j, bool(opposing)]
-        i_from_j, covariance, _ = more_certain(stacked([settled]), False)
-        edge = EDGES * number + 1 + len(rows)
-        standing = bool(opposing), False, UNDECIDED
-        measured = i_from_j[0], covariance[0], inliers, matches, distance
-        rows.append(EdgeRow(edge, CLOSURE, number, j, *standing, *measured))
+        (pose,), (spread,), _ = more_certain(stacked([settled]), False)
+        edge, ends = EDGES * number + 1 + len(rows), (number, j, bool(opposing))
+        rows.append(EdgeRow(edge, CLOSURE, *ends, False, UNDECIDED, pose, spread, inliers, matches, distance))
     return rows
 
 

@@ -6,6 +6,7 @@ floor, along the path, is held out: nothing is learned from it, and what was gai
 
 import dataclasses
 import json
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -26,7 +27,9 @@ from ebjax.mapping.open_run import camera_source, open_run
 from ebjax.models.eye import Eye
 from ebjax.models.floornet import FloorNet, fitted, open_floornet
 from ebjax.models.luma import luma
+from ebjax.places.fixed_words import save_words, words_path
 from ebjax.places.floornet import keep, unite
+from ebjax.places.learn_words import learn_words
 from ebjax.places.recall import facing_pairs, precision_100, recall_at_1
 from ebjax.places.retrieve import comparable
 from ebjax.places.search import search
@@ -40,10 +43,13 @@ from ebjax.train.floornet import WEIGHTS, Temperatures, Weights, objective, save
 from ebjax.train.loop import LoopConfig, Task, fit
 from ebjax.train.own_run import OwnRun
 from ebjax.train.views import Pairs
+from ebjax.train.words import turn_of
 from ebjax.views.run_view import RunView, choose_floor, from_camera
 
 METRES_PER_PX = 0.01
 MIN_CLOSURES = 6
+WORD_CELLS = 60_000
+"""Cells of the run's views that words are learned from, at most."""
 NEAR_CLOSURE_M = 2.0
 """Pairs farther than this from every accepted closure are not believed."""
 
@@ -177,13 +183,27 @@ def _optimiser(config: Config) -> optax.GradientTransformation:
     return optax.chain(optax.clip_by_global_norm(1.0), optax.adamw(config.rate, weight_decay=1e-4))
 
 
+def kept_of(network: FloorNet, result: Run) -> list[Mapping[str, Array]]:
+    """What the descriptor keeps of every keyframe's view."""
+    eye = Eye(network)
+    rows = ((result.seen(k), result.floor(k)) for k in range(len(result.keyframes)))
+    return [keep(eye(jnp.asarray(v, jnp.float32) / 255, jnp.asarray(s))) for v, s in rows]
+
+
+def write_words(network: FloorNet, weights: Path, result: Run, seed: int) -> None:
+    """Learns the words of these weights from the run's own views, and writes them beside the weights."""
+    cells = np.concatenate([np.asarray(one["map"])[np.asarray(one["cells"])] for one in kept_of(network, result)])
+    few = np.random.default_rng(seed).permutation(len(cells))[:WORD_CELLS]
+    turn = turn_of("floornet", cells.shape[1])
+    words = learn_words(jnp.asarray(cells[few], jnp.float32), turn, key=jax.random.key(seed))
+    save_words(words_path("floornet", weights.parent), "floornet", words, weights)
+
+
 def recall(
     network: FloorNet, result: Run, truth: Float[np.ndarray, "K 3"], view: RunView, asked: Bool[np.ndarray, " K"]
 ) -> dict[str, float]:
     """R@0.3 m, R@1 m and P100 of some keyframes, searched as slam does."""
-    eye = Eye(network)
-    rows = ((result.seen(k), result.floor(k)) for k in range(len(result.keyframes)))
-    kept = [keep(eye(jnp.asarray(v, jnp.float32) / 255, jnp.asarray(s))) for v, s in rows]
+    kept = kept_of(network, result)
     places = unite({name: np.stack([np.asarray(one[name]) for one in kept]) for name in kept[0]})
     travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(truth[:, :2], axis=0), axis=1))])
     order = np.arange(len(truth), dtype=float)
@@ -201,7 +221,7 @@ def recall(
 
 
 def run(config: Config, out: Path, *, resume: bool) -> None:
-    """Trains on a run; writes floornet.safetensors and finetune.json, and prints what was gained where."""
+    """Trains on a run; writes floornet.safetensors, its words and finetune.json, and prints what was gained where."""
     if not 0 < config.held_out < 1:
         raise ValueError(f"held_out is {config.held_out}: needs a share between 0 and 1")
     sequence = open_run(config)
@@ -252,6 +272,7 @@ def run(config: Config, out: Path, *, resume: bool) -> None:
     truth = lesson.poses if known is None else planar(known)[result.keyframes]
     asked = np.isin(np.arange(len(lesson.poses)), lesson.later[hold])
     networks = {"before": open_floornet(config.start)[1], "after": open_floornet(out / WEIGHTS)[1]}
+    write_words(networks["after"], out / WEIGHTS, result, config.seed)
     rows = {name: recall(one, result, truth, view, asked) for name, one in networks.items()}
     by = "the corrected path" if known is None else "ground truth"
     print(f"held-out floor, {int(asked.sum())} views, right by {by}:")

@@ -51,7 +51,7 @@ class Driven:
             yield Frame(float(self.stamps[row]), rgb, depth_m, None if odom is False else odom[k], str(row))
 
     def off(self, rows, said):
-        """How far each place that is said is from where the robot is, seen from the map's nearest keyframe: m, degrees."""
+        """How far each pose that is said is from the true one, seen from the map's nearest keyframe: m, degrees."""
         truth = self.truth[self.rows]
         found = []
         for row, one in zip(rows, said, strict=True):
@@ -226,7 +226,7 @@ def test_keyframes_that_are_not_in_the_map_are_not_looked_for(run):
     poses = run.poses.copy()
     poses[len(poses) // 3 :] = np.nan
     there = Localiser(run.camera, None, run.store, poses)
-    said = [there.add(frame) for frame in run.frames(run.back)]
+    said = [there.add(frame) for frame in run.frames(run.back[-16:])]
     told = [closure for one in said for closure in one.closures]
     assert all(closure.rows[1] < len(poses) // 3 for closure in told)
 
@@ -238,8 +238,8 @@ def test_what_cannot_be_is_refused(run):
         Localiser(run.camera, None, run.store, np.full_like(run.poses, np.nan))
     with pytest.raises(ValueError, match="the map holds no keyframe"):
         Localiser(run.camera, None, InMemory(), np.zeros((0, 3)))
-    with pytest.raises(ValueError, match=r"start \(nan, 0, 0\) is no pose: give x \(m\), y \(m\) and heading"):
-        run.localiser(start=(np.nan, 0, 0))
+    with pytest.raises(ValueError, match=r"start \(nan, 0.0, 0.0\) is no pose: give x \(m\), y \(m\) and heading"):
+        run.localiser(start=(np.nan, 0.0, 0.0))
     with pytest.raises(ValueError, match="--motion wheels needs odometry"):
         there = run.localiser(PipelineConfig(motion="wheels"))
         there.add(next(iter(run.frames(run.back, odom=False))))
