@@ -5,8 +5,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from ebjax.slam.engine import Engine
 from ebjax.slam.frame import Closure, Update
-from ebjax.slam.mapper import Mapper
 from ebjax.slam.run import Run
 from ebjax.viz.live import Live
 from ebjax.viz.ticker import LiveLine, PlainLines, ticker
@@ -22,10 +22,10 @@ class Watched:
     def __init__(self, total: int, live: Live | None = None):
         """Args: the frames of the run; what shows it."""
         self._total, self._live = total, live
-        self._engine: Mapper | None = None
+        self._engine: Engine | None = None
         self._ticking = contextlib.ExitStack()
 
-    def __call__(self, engine: Mapper) -> Callable[[Update], None]:
+    def __call__(self, engine: Engine) -> Callable[[Update], None]:
         """What is called with every update of a drive."""
         self._ticking.close()
         ticking: PlainLines | LiveLine = ticker(self._total)

@@ -29,9 +29,9 @@ from ebjax.mapping.seen_floor import FloorOptions, camera_over_floor, ignored_pi
 from ebjax.mapping.watched import Watched
 from ebjax.slam.believe import BeliefConfig
 from ebjax.slam.config import MountConfig, PipelineConfig
-from ebjax.slam.mapper import Remember
 from ebjax.slam.pipeline import run as run_pipeline
 from ebjax.slam.run import Run
+from ebjax.slam.walker import Remember
 from ebjax.viz.live import Live
 from ebjax.viz.rtabmap_copy import write_rtabmap_copy
 from ebjax.viz.run_folder import write_run

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from ebjax.slam.engine import Engine
 from ebjax.slam.frame import Frame, Update
-from ebjax.slam.mapper import Mapper
 from ebjax.slam.recording import Load, Recording
 
 Progress = Callable[[Iterable, int, str], Iterator]
@@ -21,7 +21,7 @@ def in_silence(items: Iterable, total: int, label: str) -> Iterator:
 
 
 def drive(
-    mapper: Mapper,
+    mapper: Engine,
     recording: Recording,
     progress: Progress = in_silence,
     told: Callable[[Update], None] = lambda update: None,

@@ -24,11 +24,11 @@ from ebjax.odometry.motion import (
 from ebjax.posegraph.graph import PoseGraph, make_graph
 from ebjax.posegraph.lm import cut_off, solve
 from ebjax.slam.believe import CONTRADICTED, Belief, Measured, Walked
+from ebjax.slam.engine import Engine
 from ebjax.slam.join import joined
 from ebjax.slam.lean import Asked, By, Lean, image_level, shown_by_depth, shown_by_the_floor, used
 from ebjax.slam.lens_check import lens_warning
 from ebjax.slam.look import Views
-from ebjax.slam.mapper import Mapper
 from ebjax.slam.path import SYSTEMATIC, Path, path_of_motion, path_of_wheels
 from ebjax.slam.recall import Alike
 from ebjax.slam.run import Earlier, Run
@@ -42,7 +42,7 @@ MANY, FEW_AGREE, OFTEN = 60, 0.4, 0.15
 """Of so many matches of two successive views less than that share agrees, in more than this share of all such pairs."""
 SAMPLE = 64
 """Keyframes whose depth says how high the camera is."""
-Again = Callable[[Mapper, Camera, Lean | None], Mapper]
+Again = Callable[[Engine, Camera, Lean | None], Engine]
 """(engine, camera, lean) -> an engine through which the same run was driven as that camera, leaning so, sees it."""
 
 
@@ -57,20 +57,20 @@ class Moved:
       way: wheels, or the floor followed, at all frames.
     """
 
-    engine: Mapper
+    engine: Engine
     given: Keyframes
     motion: Motion
     way: Float[np.ndarray, "F 3"]
 
 
-def motion_config(engine: Mapper) -> MotionConfig:
+def motion_config(engine: Engine) -> MotionConfig:
     """What of the settings the motion needs."""
     config, recording = engine.config, engine.recording
     timed = recording is not None and recording.odometry_at is not None
     return MotionConfig(config.tolerance_m, config.mount.refine, timed, config.odometry)
 
 
-def finish(engine: Mapper, again: Again) -> Run:
+def finish(engine: Engine, again: Again) -> Run:
     """Thinks a run over.
 
     Args:
@@ -93,11 +93,11 @@ def finish(engine: Mapper, again: Again) -> Run:
     return concluded(engine, moved)
 
 
-def think_over(engine: Mapper, again: Again) -> Moved:
+def think_over(engine: Engine, again: Again) -> Moved:
     """The motion under the tilt and the leans that the run shows."""
     recording = engine.recording
 
-    def upright(engine: Mapper) -> Moved:
+    def upright(engine: Engine) -> Moved:
         found = moved_by(engine)
         tilt = found.motion.tilt
         far = max(abs(tilt.pitch_deg), abs(tilt.roll_deg)) >= LOOK_AGAIN_DEG
@@ -126,14 +126,14 @@ def think_over(engine: Mapper, again: Again) -> Moved:
     return lens_checked(found, asked, engine)
 
 
-def asked_of(engine: Mapper) -> Asked:
+def asked_of(engine: Engine) -> Asked:
     """What the floor views of a recorded run are asked with."""
     assert engine.recording is not None
     ways = engine.eyes.extractor, engine.eyes.descriptor
     return Asked(engine.recording.load, engine.camera, engine.view_of, *ways, engine.config.seed)
 
 
-def moved_by(engine: Mapper) -> Moved:
+def moved_by(engine: Engine) -> Moved:
     """The motion of an engine's keyframes."""
     recording, frames, start = engine.recording, engine.numbers, engine.start
     way = engine.way_everywhere()
@@ -165,7 +165,7 @@ def moved_by(engine: Mapper) -> Moved:
     return Moved(engine, given, motion, way)
 
 
-def concluded(engine: Mapper, moved: Moved | None) -> Run:
+def concluded(engine: Engine, moved: Moved | None) -> Run:
     """The closures that the whole run believes, and what they make of the path."""
     begun = time.perf_counter()
     config, frames, start, every = engine.config, engine.numbers, engine.start, engine.measured()
@@ -237,7 +237,7 @@ class MapPath:
       in_map: whether the closures of the last graph join the run to the earlier ones; True where there are none.
     """
 
-    def __init__(self, engine: Mapper, path: Path):
+    def __init__(self, engine: Engine, path: Path):
         self._start, self._path = engine.start, path
         self._node = engine.start + np.searchsorted(path.frames, engine.numbers)
         self._earlier = engine.chain.covariance[: max(engine.start - 1, 0)]
@@ -277,7 +277,7 @@ class MapPath:
         )
 
 
-def nodding(engine: Mapper, asked: Asked) -> Lean | None:
+def nodding(engine: Engine, asked: Asked) -> Lean | None:
     """How the robot leans by the depth images, else by the floor views; the first that the views agree with."""
     lean, recording, frames = None, engine.recording, engine.numbers
     assert recording is not None
@@ -295,7 +295,7 @@ def nodding(engine: Mapper, asked: Asked) -> Lean | None:
     return lean
 
 
-def lens_checked(found: Moved, asked: Asked, engine: Mapper) -> Moved:
+def lens_checked(found: Moved, asked: Asked, engine: Engine) -> Moved:
     """The same; with a warning where the mount is off, or many steps fail, and another lens explains more."""
     tilt, warnings = found.motion.tilt, found.motion.warnings
     off = bool(warnings) or max(abs(tilt.pitch_deg), abs(tilt.roll_deg)) > MUCH_DEG

@@ -12,7 +12,6 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Int
 
-from ebjax.features.landmarks import Landmarks
 from ebjax.geometry.camera import Camera
 from ebjax.geometry.planar import between, compose, inverse
 from ebjax.odometry.causal import LOST
@@ -21,23 +20,22 @@ from ebjax.places.index import PlaceIndex
 from ebjax.posegraph.robust import CHI2_99
 from ebjax.slam.believe import KEPT, Measured
 from ebjax.slam.config import PipelineConfig
+from ebjax.slam.doubt import Doubt
+from ebjax.slam.engine import correlating
 from ebjax.slam.frame import Closure, Frame
 from ebjax.slam.lean import Lean
-from ebjax.slam.look import Looked
-from ebjax.slam.mapper import Remember, correlating
 from ebjax.slam.packed import Arrays, place_of
 from ebjax.slam.path import SYSTEMATIC
 from ebjax.slam.recall import Alike, best_of_each_way
 from ebjax.slam.recording import Recording
 from ebjax.slam.store import Store
 from ebjax.slam.tied import Settled, Stretch, believed, fits, measured_well, moved_on, seen_in_map, tied
-from ebjax.slam.walking import Walking
+from ebjax.slam.walker import Remember
+from ebjax.slam.walking import AcrossMap, Walking
 from ebjax.views.run_view import RunView
 
 WINDOW = 32
 """Closures of so many last keyframes count."""
-PATIENCE = 3
-"""A path that broke is called lost at the third keyframe since, unless it shows by then that it did not."""
 START_SIGMA_M, START_SIGMA_DEG = 0.3, 10.0
 """How well a user knows where a robot starts."""
 State = Literal["lost", "found"]
@@ -112,9 +110,9 @@ class Localiser:
         if start is not None and not np.isfinite(start).all():
             raise ValueError(f"start {start} is no pose: give x (m), y (m) and heading (rad)")
         ways = {"view": view, "recording": recording, "lean": lean, "remember": remember}
-        self.walk = Walking(camera, config, arrived=self._arrived, **ways)
+        self.walk = Walking(camera, config, **ways)
         self.config, self.store = self.walk.config, store
-        self.looked = AcrossMap(store, self.walk)
+        self.looked = AcrossMap(store, len(store), self.walk)
         words = correlating(self.config)
         self.index = PlaceIndex() if words is None else PlaceIndex(words, self._maps)
         self.settled, self._map_frames = self._read(poses)
@@ -125,7 +123,7 @@ class Localiser:
         self._closures = _none()
         self._fitted = -1
         self._since = 0
-        self._doubt: tuple[int, int] | None = None
+        self._doubt = Doubt(self.walk.view.extent_m)
         self._nearest: int | None = None
         self._standing: dict[tuple[int, int, bool], str] = {}
         self._news: tuple[Closure, ...] = ()
@@ -163,17 +161,19 @@ class Localiser:
         """
         begun = time.perf_counter()
         self._news = ()
-        update = self.walk.add(frame)
+        keyframe = None
+        for keyframe, kept, steps in self.walk.go_on(frame):
+            self._arrived(keyframe, kept, steps)
         pose, covariance, from_odom = None, None, None
         if self._pose is not None:
             pose = compose(self._pose, self.walk.keyframe_from_base())
-            covariance = self._covariance + (LOST if self._doubt is not None else 0.0)
+            covariance = self._covariance + (LOST if self._doubt else 0.0)
             if frame.odom_from_base is not None:
                 from_odom = compose(pose, inverse(np.asarray(frame.odom_from_base, float)))
         return Whereabouts(
-            update.frame,
+            len(self.walk.frames) - 1,
             frame.stamp_s,
-            update.keyframe,
+            keyframe,
             pose,
             covariance,
             from_odom,
@@ -196,10 +196,11 @@ class Localiser:
         if self._pose is not None and self._fits(row, self._pose):
             self._fitted = row
         if row and self.config.motion != "wheels":
-            self._doubted(row, steps)
+            self._doubt.go_on(row, steps, self._fitted == row)
         broken = self._broken(row)
         if broken is not None:
-            self._pose, self._doubt, self._nearest, self._since = None, None, None, broken
+            self._pose, self._nearest, self._since = None, None, broken
+            self._doubt.end()
         self._closures = _since(self._closures, self._since)
         self._believe(row, settle=broken is None)
 
@@ -226,21 +227,14 @@ class Localiser:
         expected = self._covariance + np.diag(sigma**2)  # the map errs too
         return bool(fits(*seen_in_map(some, self.settled), pose, expected, CHI2_99[3]).any())
 
-    def _doubted(self, row: int, steps: Steps) -> None:
-        """A path whose last step nothing but wheels measured may have broken, until something reaches across."""
-        mine = steps.used & (steps.i == row)
-        if not (mine & (steps.j == row - 1)).any():
-            self._doubt = (row if self._doubt is None else self._doubt[0]), row
-        if self._doubt is not None and ((mine & (steps.j < self._doubt[0])).any() or self._fitted == row):
-            self._doubt = None
-
     def _broken(self, row: int) -> int | None:
         """The first keyframe since the path broke; None where it did not as far as is known."""
-        if self._doubt is not None and row - self._doubt[0] + 1 >= PATIENCE:
-            return self._doubt[1]
+        keyframes, low = self.walk.keyframes, self._low(row)
+        ways = np.diff(keyframes.travelled[low:]), np.diff(keyframes.stamp_s[low:])
+        broken = self._doubt.broken(row, *ways)
         against = _since(self._closures, self._fitted + 1)
-        if self._pose is None or not len(against.i):
-            return None
+        if broken is not None or self._pose is None or not len(against.i):
+            return broken
         kept = self._reasons(against, row) == KEPT
         return int(against.i[kept].min()) if kept.any() else None
 
@@ -277,21 +271,6 @@ class Localiser:
                 rows = len(self.store) + i, j
                 self._news += (Closure(*frames, opposing, closures.i_from_j[k], reason == KEPT, reason, rows),)
         self._standing = now
-
-
-class AcrossMap(Looked):
-    """The keyframes of a map, and behind them the last ones of a run."""
-
-    def __init__(self, store: Store, walk: Walking):
-        turn, config = walk.eyes.extractor.turn, walk.config
-        super().__init__(store, walk.view, walk.camera, turn, config.tolerance_m, config.seed)
-        self._count, self._walked = len(store), walk.looked
-
-    def landmarks(self, row: int, facing: bool = False) -> Landmarks:
-        """The features of a keyframe."""
-        if row < self._count:
-            return super().landmarks(row, facing)
-        return self._walked.landmarks(row - self._count, facing)
 
 
 def ends_of(closures: Measured) -> list[tuple[int, int, bool]]:

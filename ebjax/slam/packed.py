@@ -71,7 +71,9 @@ def place_of(kept: Arrays) -> Place:
 
 
 def view_of(kept: Arrays) -> UInt8[np.ndarray, "h w 3"]:
-    """The floor view, RGB."""
+    """The floor view, RGB; grey where the colours were dropped."""
+    if "view" not in kept:
+        return np.repeat(_decoded(kept["grey"], cv2.IMREAD_GRAYSCALE)[..., None], 3, 2)
     return np.ascontiguousarray(_decoded(kept["view"], cv2.IMREAD_COLOR)[..., ::-1])
 
 

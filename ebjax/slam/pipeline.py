@@ -10,18 +10,20 @@ from typing import Any
 from ebjax.geometry.camera import Camera
 from ebjax.slam.config import PipelineConfig
 from ebjax.slam.drive import Progress, drive, in_silence, moved_enough
-from ebjax.slam.finish import asked_of, finish
+from ebjax.slam.engine import Engine
+from ebjax.slam.finish import asked_of
 from ebjax.slam.frame import Update
 from ebjax.slam.lean import Lean
-from ebjax.slam.mapper import Mapper, Remember
+from ebjax.slam.mapper import Mapper
 from ebjax.slam.recording import Recording
 from ebjax.slam.run import Run
 from ebjax.slam.store import Store
+from ebjax.slam.walker import Remember
 from ebjax.views.run_view import RunView
 
 Keep = Callable[[Camera, RunView, Lean | None], Store]
 """(camera, its floor view, how the robot leans) -> where the keyframes of a drive are kept."""
-Watch = Callable[[Mapper], Callable[[Update], None]]
+Watch = Callable[[Engine], Callable[[Update], None]]
 
 
 def run(
@@ -62,16 +64,16 @@ def run(
         store = None if keep is None else keep(camera, of(camera), lean)
         return Mapper(camera, config, lean=lean, store=store, **ways)
 
-    def again(engine: Mapper, camera: Camera, lean: Lean | None) -> Mapper:
+    def again(engine: Engine, camera: Camera, lean: Lean | None) -> Engine:
         another = driven(made(camera, lean, engine.view_of))
         another.seconds["frames"] += engine.seconds["frames"]
         return another
 
     blank = Mapper(camera, config, **ways)
-    return finish(driven(made(camera, leaning(recording, blank), blank.view_of)), again)
+    return driven(made(camera, leaning(recording, blank), blank.view_of)).finish(again)
 
 
-def leaning(recording: Recording, engine: Mapper) -> Lean | None:
+def leaning(recording: Recording, engine: Engine) -> Lean | None:
     """How the robot leans by odometry, and whether the floor views agree with it."""
     config = engine.config
     if recording.level_at is None or config.motion == "wheels":

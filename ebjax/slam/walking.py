@@ -1,21 +1,21 @@
-"""A run without its loops: which frames are keyframes, how they look, and the steps between the last of them."""
+"""A run of which only the last keyframes are held: as far as the next step reaches back."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from ebjax.features.landmarks import Landmarks
 from ebjax.odometry.steps import Steps
-from ebjax.slam.frame import Frame, Update
-from ebjax.slam.mapper import Mapper
+from ebjax.slam.frame import Frame
+from ebjax.slam.look import Looked
 from ebjax.slam.packed import Arrays
-from ebjax.slam.store import Between, InMemory
+from ebjax.slam.store import Between, InMemory, Shelf
+from ebjax.slam.walker import Walker
 
 LAST = 64
 """Keyframes that are held: more than a step reaches back."""
-Arrived = Callable[[int, Arrays, Steps], None]
-"""(row of a new keyframe, packed, what was measured between it and earlier ones)."""
 
 
 class LastKeyframes(InMemory):
@@ -41,38 +41,44 @@ class LastKeyframes(InMemory):
             del self._kept[0]
 
 
-class Walking(Mapper):
-    """The engine as far as the path by its steps alone.
+class Walking(Walker):
+    """Hangs keyframes on the path and lets go of old ones; only numbers stay: 48 bytes a frame, 200 a keyframe."""
 
-    Of what lies behind the last keyframes only numbers stay: 48 bytes a frame and 200 a keyframe.
+    def __init__(self, *given: Any, **options: Any):
+        """See `ebjax.slam.mapper.Mapper`; without a store."""
+        super().__init__(*given, store=LastKeyframes(), **options)
 
-    Args:
-      arrived: is told every keyframe, when its step is on the path.
-      engine: what `Mapper` takes.
-    """
+    def go_on(self, frame: Frame) -> Iterator[tuple[int, Arrays, Steps]]:
+        """Takes the next frame; of each new keyframe its row, itself packed, and the steps to earlier ones.
 
-    def __init__(self, *engine: Any, arrived: Arrived, **options: Any):
-        super().__init__(*engine, store=LastKeyframes(), **options)
-        self._tell = arrived
+        Raises:
+          ValueError: as of `Walker.due`.
+        """
+        number, due = self.due(frame)
+        for one, kept in due:
+            row = self._arrived(one, kept)
+            self.store.keep(kept)
+            self.looked.told.clear()
+            yield row, kept, self._steps
+        self.passed(frame, number, any(one == number for one, _ in due))
+        self.names.clear()
+        self._between.clear()
 
     def keyframe_from_base(self) -> Float[np.ndarray, "3"]:
         """The last frame, seen from the last keyframe."""
         return self._from_keyframe()
 
-    def _noted(self, frame: Frame) -> int:
-        number = super()._noted(frame)
-        self.names.clear()
-        return number
 
-    def _keyframe(self, number: int, kept: Arrays):
-        row = self._arrived(number, kept)
-        self.store.keep(kept)
-        self.looked.told.clear()
-        self._tell(row, kept, self._steps)
-        return (), False
+class AcrossMap(Looked):
+    """The `count` keyframes of a map, and behind them the last ones of a run."""
 
-    def _update(self, frame: Frame, number: int, keyframe: bool, closures, path, begun: float) -> Update:
-        self._between.clear()
-        row = len(self.chain) - 1
-        pose = np.zeros(3) if row < 0 else self.chain.poses[row].copy()
-        return Update(number, frame.stamp_s, row if keyframe else None, pose, False, None, np.zeros((3, 3)))
+    def __init__(self, store: Shelf, count: int, walk: Walking):
+        turn, config = walk.eyes.extractor.turn, walk.config
+        super().__init__(store, walk.view, walk.camera, turn, config.tolerance_m, config.seed)
+        self._count, self._walked = count, walk.looked
+
+    def landmarks(self, row: int, facing: bool = False) -> Landmarks:
+        """The features of a keyframe."""
+        if row < self._count:
+            return super().landmarks(row, facing)
+        return self._walked.landmarks(row - self._count, facing)

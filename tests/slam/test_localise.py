@@ -12,10 +12,11 @@ from ebjax.io.frames import Frames
 from ebjax.io.sequence import read_sequence
 from ebjax.slam import walking
 from ebjax.slam.config import PipelineConfig
+from ebjax.slam.doubt import PATIENCE
 from ebjax.slam.drive import drive
 from ebjax.slam.finish import finish
 from ebjax.slam.frame import Frame
-from ebjax.slam.localise import PATIENCE, Localiser
+from ebjax.slam.localise import Localiser
 from ebjax.slam.mapper import Mapper
 from ebjax.slam.recording import Recording
 from ebjax.slam.store import InMemory

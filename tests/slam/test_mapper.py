@@ -12,7 +12,6 @@ from ebjax.io.sequence import read_sequence
 from ebjax.slam import drive as driving
 from ebjax.slam.config import PipelineConfig
 from ebjax.slam.drive import drive
-from ebjax.slam.finish import finish
 from ebjax.slam.frame import Frame
 from ebjax.slam.mapper import Mapper
 from ebjax.slam.recording import Recording
@@ -44,7 +43,7 @@ def whole(run):
 
 
 def thought_over(engine):
-    return finish(engine, lambda *_: pytest.fail("this run needs no second look"))
+    return engine.finish(lambda *_: pytest.fail("this run needs no second look"))
 
 
 def test_closures_are_believed_as_they_come(whole):
@@ -122,7 +121,7 @@ def test_no_images_are_asked_again_of_a_robot(run):
     for k in range(12):
         rgb, depth = recording.load(k)
         engine.add(Frame(float(recording.timestamps[k]), rgb, depth, recording.odom_from_base[k], str(k)))
-    found = finish(engine, lambda *_: pytest.fail("nothing can be looked at again"))
+    found = engine.finish()
     assert found.poses.shape == (12, 3) and len(found.keyframes) == len(engine.keyframes)
 
 

@@ -1,0 +1,237 @@
+"""The engine: a run frame by frame, each step from what is past.
+
+    frame -> keyframe? -> describe -> steps to the keyframes before -> places alike -> verify -> believe -> correct
+
+What decides are measurements and the path of their steps.
+"""
+
+import dataclasses
+import time
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int, Int8, UInt8
+
+from ebjax.features.verify_pairs import stacked
+from ebjax.geometry.planar import compose, inverse
+from ebjax.odometry.floor_steps import more_certain
+from ebjax.places.descriptor import descriptor
+from ebjax.places.fixed_words import FixedWords, fixed_words
+from ebjax.places.index import PlaceIndex
+from ebjax.places.search import check_ranking
+from ebjax.posegraph.graph import PoseGraph
+from ebjax.slam.believe import Belief, Measured, Walked
+from ebjax.slam.config import PipelineConfig
+from ebjax.slam.correct import Corrector
+from ebjax.slam.frame import Closure, Frame, Update
+from ebjax.slam.graph import graph_so_far
+from ebjax.slam.join import joined
+from ebjax.slam.packed import Arrays, place_of
+from ebjax.slam.recall import Alike, comparable_rows, worth_verifying
+from ebjax.slam.table import Table
+from ebjax.slam.told import packed_pairs, packed_steps, unpacked_pairs, unpacked_steps
+from ebjax.slam.walker import Walker
+
+
+class Engine(Walker):
+    """Closes loops as the robot drives.
+
+    Attributes:
+      candidates: earlier keyframes that were verified, measured; rows of the keyframes.
+      belief: which of them are closures, and why the others are not.
+      firsts: of every keyframe the one that looks most alike.
+      corrector: where the keyframes are after the closures.
+      seconds: of each stage.
+    """
+
+    def __init__(self, *given: Any, **options: Any):
+        """See `ebjax.slam.mapper.Mapper`."""
+        super().__init__(*given, **options)
+        words = correlating(self.config)
+        self.index = PlaceIndex() if words is None else PlaceIndex(words, self._maps)
+        self.firsts = Table(j=int, opposing=bool, distance=float)
+        self.candidates = Table(
+            i=int, j=int, opposing=bool, distance=float, inliers=int, total=int, i_from_j=(float, (3,)),
+            covariance=(float, (3, 3)),
+        )  # fmt: skip
+        self.belief = Belief(self.config.believe)
+        self.corrector = Corrector()
+        self.seconds: dict[str, float] = {}
+        self._in_map = self._begun_in_map = np.zeros(0, bool)
+        for row in range(len(self.store)):
+            self._take_up(row, self.store.arrays(row))
+        if len(self.candidates):
+            self.belief.update(self.measured(), self.path)
+
+    def add(self, frame: Frame) -> Update:
+        """Takes the next frame.
+
+        Raises:
+          ValueError: as of `Walker.due`.
+          OSError: the keyframe cannot be kept.
+        """
+        begun = time.perf_counter()
+        number, due = self.due(frame)
+        closures: tuple[Closure, ...] = ()
+        path = None
+        for one, kept in due:
+            news, corrected = self._keyframe(one, kept)
+            closures += news
+            path = self.corrector.poses(self.chain.poses) if corrected else path
+        update = self._update(frame, number, bool(due), closures, path, begun)
+        self.passed(frame, number, any(one == number for one, _ in due))
+        return update
+
+    def _keyframe(self, number: int, kept: Arrays) -> tuple[tuple[Closure, ...], bool]:
+        row = self._arrived(number, kept)
+        alike = self._alike(row, kept)
+        first = (alike.j[0], alike.opposing[0], alike.distance[0]) if len(alike.j) else (-1, False, np.inf)
+        self.firsts.append(j=first[0], opposing=first[1], distance=first[2])
+        path = self.path
+        chosen = worth_verifying(alike, row, path, self.view, self.config)
+        news = self._believe(row, chosen, path)
+        self._keep(row, number)
+        begun = self._begun_in_map
+        corrected = self.corrector.take(row + 1, self._graph, self.chain.poses)
+        self._in_map = begun if corrected else self._in_map
+        return news, corrected
+
+    def _maps(self, rows: Int[np.ndarray, " K"]) -> tuple[Int8[np.ndarray, "K h w D"], UInt8[np.ndarray, "K h w"]]:
+        kept = [self.store.arrays(int(row)) for row in rows]
+        return np.stack([k["place.map"] for k in kept]), np.stack([k["place.weight"] for k in kept])
+
+    def _alike(self, row: int, kept: Arrays) -> Alike:
+        place = place_of(kept)
+        config = self.config
+        same, opposing = comparable_rows(
+            self.keyframes.stamp_s, self.keyframes.travelled, self.start, config.min_gap_s, config.min_gap_m
+        )
+        found = self.index.query(place, same, opposing)
+        self.index.add(place)
+        return Alike(np.asarray(found.j), np.asarray(found.opposing), np.asarray(found.distance))
+
+    def _believe(self, row: int, chosen: Alike, path: Walked) -> tuple[Closure, ...]:
+        count = len(self.candidates)
+        if len(chosen.j):
+            i = np.full(len(chosen.j), row)
+            self.looked.pairs(i, chosen.j, chosen.opposing)
+            for j, opposing, distance in zip(chosen.j, chosen.opposing, chosen.distance, strict=True):
+                self._candidate(row, int(j), bool(opposing), float(distance))
+            before = self.belief.kept
+            self.belief.update(self.measured(), path)
+            after = self.belief.kept
+            changed = np.flatnonzero(np.append(before, np.zeros(len(after) - len(before), bool)) != after)
+            return tuple(self._closure(int(k)) for k in np.union1d(changed, np.arange(count, len(after))))
+        return ()
+
+    def _candidate(self, row: int, j: int, opposing: bool, distance: float) -> None:
+        inliers, total, settled = self.looked.told[row, j, opposing]
+        i_from_j, covariance, _ = more_certain(stacked([settled]), False)
+        self.candidates.append(
+            i=row, j=j, opposing=opposing, distance=distance, inliers=inliers, total=total, i_from_j=i_from_j[0],
+            covariance=covariance[0],
+        )  # fmt: skip
+
+    def measured(self) -> Measured:
+        """All candidates so far; i and j are rows of the keyframes."""
+        names = [field.name for field in dataclasses.fields(Measured)]
+        return Measured(*(getattr(self.candidates, name).copy() for name in names))
+
+    def _closure(self, k: int) -> Closure:
+        c, frame = self.candidates, self.keyframes.frame
+        reason = str(self.belief.reasons[k])
+        ends = int(frame[c.i[k]]), int(frame[c.j[k]])
+        rows = int(c.i[k]), int(c.j[k])
+        return Closure(*ends, bool(c.opposing[k]), c.i_from_j[k].copy(), bool(self.belief.kept[k]), reason, rows)
+
+    def _graph(self, poses: Float[np.ndarray, "N 3"]) -> PoseGraph:
+        kept = self.measured().rows(np.flatnonzero(self.belief.kept))
+        start, self._begun_in_map = joined(poses, self.keyframes.piece, kept)
+        return graph_so_far(self.chain.poses, self.chain.covariance, self.keyframes.piece, start, kept)
+
+    def _update(self, frame: Frame, number: int, keyframe: bool, closures, path, begun: float) -> Update:
+        rows = len(self.chain)
+        pose, covariance = np.zeros(3), np.eye(3)
+        if rows > self.start:
+            pose = compose(self.corrector.last(self.chain.poses), self._from_keyframe())
+            covariance = self.chain.spread_since(max(self.corrector.settled - 1, 0))
+        odom = frame.odom_from_base
+        return Update(
+            number,
+            frame.stamp_s,
+            rows - 1 if keyframe else None,
+            pose,
+            not self.start or bool(len(self._in_map) > self.start and self._in_map[self.start]),
+            None if odom is None else compose(pose, inverse(np.asarray(odom, float))),
+            covariance,
+            closures,
+            path,
+            self.looked.seen(rows - 1) if keyframe else None,
+            1e3 * (time.perf_counter() - begun),
+        )
+
+    def _keep(self, row: int, number: int) -> None:
+        """Keeps the keyframe in work with all that was measured of it."""
+        firsts, keyframes = self.firsts, self.keyframes
+        bridged = self._steps.kind == "image"
+        steps = self._steps.rows(bridged | (self._steps.kind == "rotation"))
+        if len(steps.i):
+            self.bridged.append(steps)
+        mine = self.candidates.i == row
+        told = {
+            "at.frame": np.array(number),
+            "at.stamp_s": np.array(keyframes.stamp_s[row]),
+            "at.odom": keyframes.odom[row].copy(),
+            "at.travelled": np.array(keyframes.travelled[row]),
+            "at.pose": self.chain.poses[row].copy(),
+            "at.step": self.chain.steps[row].copy(),
+            "at.measured": np.array(self.chain.measured[row]),
+            "first": np.array([firsts.j[row], firsts.opposing[row], firsts.distance[row]]),
+            "candidates": np.stack([self.candidates.j[mine], self.candidates.opposing[mine]], 1).astype(np.int64),
+            "candidates.distance": self.candidates.distance[mine].copy(),
+        }
+        if self.follower is not None:
+            told |= self.follower.told_up_to(number)
+        whole = {**self.store.newest, **told, **packed_pairs(row, self.looked.told), **packed_steps(steps)}
+        between, self._between = [one for one in self._between if one.frame < number], []
+        self.store.keep(whole, self.names[number], between)
+
+    def _take_up(self, row: int, kept: Arrays) -> None:
+        """Goes on from a keyframe that was kept."""
+        number, odom, piece = int(kept["at.frame"]), kept["at.odom"], self.store.piece(row)
+        mine = row >= self.start
+        if mine != (piece == self.store.current):
+            raise ValueError(f"keyframe {row} of an earlier run lies among those of the one that goes on")
+        if mine and self.follower is None and "follow.frames" in kept:
+            self._follow()
+        self.keyframes.append(
+            frame=number, stamp_s=kept["at.stamp_s"], odom=odom, travelled=kept["at.travelled"], piece=piece
+        )  # fmt: skip
+        pose, step = (kept["at.pose"], kept["at.step"]) if mine else self.store.settled_step(row, kept)
+        self.chain.take_up(float(kept["at.stamp_s"]), pose, step, bool(kept["at.measured"]))
+        first = kept["first"]
+        self.firsts.append(j=int(first[0]), opposing=bool(first[1]), distance=first[2])
+        self.index.add(place_of(kept))
+        self.looked.told |= unpacked_pairs(row, kept)
+        if mine and len(kept["steps.words"]):
+            self.bridged.append(unpacked_steps(kept))
+        for (j, opposing), distance in zip(kept["candidates"].tolist(), kept["candidates.distance"], strict=True):
+            self._candidate(row, j, bool(opposing), float(distance))
+        if mine and self.follower is not None:
+            self.follower.take_up(number, float(kept["at.stamp_s"]), kept)
+        elif mine:
+            self._asked = odom.copy()
+
+
+def correlating(config: PipelineConfig) -> FixedWords | None:
+    """The words whose maps are correlated; None where places are ranked by cosine alone.
+
+    Raises:
+      ValueError: maps are to be correlated and the descriptor has none.
+    """
+    place = descriptor(config.descriptor, config.weights, config.arithmetic)
+    check_ranking(config.ranking, place.has_maps)
+    if config.ranking == "cosine" or not place.has_maps:
+        return None
+    name = "floornet" if config.descriptor == "joint" else config.descriptor
+    return fixed_words(name, config.weights)
