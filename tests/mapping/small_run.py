@@ -13,8 +13,9 @@ from ebjax.mapping.store import open_map
 from ebjax.slam.config import PipelineConfig
 from ebjax.slam.drive import drive
 from ebjax.slam.finish import finish
-from ebjax.slam.mapper import Mapper, default_view
+from ebjax.slam.mapper import Mapper
 from ebjax.slam.recording import Recording
+from ebjax.slam.walker import default_view
 
 LOG, WIDTH, HEIGHT = "monday", 320, 240
 TEXTURE_M, LENGTH_M = 0.005, 2.6

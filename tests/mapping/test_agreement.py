@@ -11,7 +11,7 @@ from ebjax.geometry.lens import lens
 from ebjax.io.map_file.file import MapFile
 from ebjax.mapping.agreement import check_map, in_words, made_with, settings_of
 from ebjax.slam.config import PipelineConfig
-from ebjax.slam.mapper import default_view
+from ebjax.slam.walker import default_view
 from ebjax.views.run_view import from_camera
 
 

@@ -14,8 +14,9 @@ from ebjax.mapping.maintain import forget, repaired
 from ebjax.mapping.store import temporary_map
 from ebjax.slam.believe import KEPT
 from ebjax.slam.finish import finish
-from ebjax.slam.mapper import Mapper, default_view
+from ebjax.slam.mapper import Mapper
 from ebjax.slam.store import Store
+from ebjax.slam.walker import default_view
 
 
 def test_gives_what_a_run_in_memory_gives(whole):
