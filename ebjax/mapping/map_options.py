@@ -15,6 +15,11 @@ class MapOptions:
     map: Path | None = None
     """A map's file, NAME.ebmap. A LOG is kept in it as it is driven; stopped at any moment, the same command goes on
     from there. Without a LOG: says what is in it."""
+    localise: bool = False
+    """With a LOG: only say where its robot is in --map; nothing is added, and no byte of the map changes."""
+    start: tuple[float, float, float] | None = None
+    """With --localise: about where it starts, x (m), y (m), heading (degrees), right within 0.3 m and 10 degrees. None:
+    it is lost until two views that agree are recognised."""
     export: bool = False
     """Without a LOG: writes what is in --map to --out, at any time, also while a run is written into it: trajectories,
     pose graph, closures, floor map, nav2's map, nerfstudio's transforms.json, hloc's pairs.txt, a report."""
@@ -47,6 +52,12 @@ def check_map_options(options: MapOptions, log: Path | None) -> None:
         raise ValueError(f"{asked[0]} is for a map: name it with --map FILE.ebmap")
     if len(asked) > 1:
         raise ValueError(f"{' and '.join(asked)}: give one of them at a time")
+    if options.start is not None and not options.localise:
+        raise ValueError("--start X Y HEADING says where a run begins in a map: give --localise too")
+    if options.localise and asked:
+        raise ValueError(f"--localise and {asked[0]}: give one of them at a time")
+    if options.localise and (options.map is None or log is None):
+        raise ValueError("--localise says where a run is in a map: give LOG --map FILE.ebmap --localise")
     if asked and log is not None:
         raise ValueError(f"{asked[0]} is for the map alone: leave {log} out, or run it first without {asked[0]}")
 

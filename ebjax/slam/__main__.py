@@ -23,6 +23,7 @@ from ebjax.io.logs.mount_options import MountOptions
 from ebjax.io.sequence import Sequence
 from ebjax.mapping.export import export_run
 from ebjax.mapping.kept_run import KeptRun, read_as
+from ebjax.mapping.localised_run import localise_run
 from ebjax.mapping.map_options import MapOptions, check_map_options, look_after
 from ebjax.mapping.open_run import RunOptions, camera_source, open_run, recording_of
 from ebjax.mapping.seen_floor import FloorOptions, camera_over_floor, ignored_pixels, view_chooser
@@ -91,6 +92,13 @@ def main(config: Config) -> None:
     view = view_chooser(config, ignored, camera, camera_source(config, sequence))
     frames = Frames(sequence)
     recording = recording_of(sequence, frames, ignored, timed=config.time_offset_s == "auto")
+    if config.localise and config.map is not None:
+        with contextlib.ExitStack() as at_end:
+            known, folder = remembering(config, at_end), config.out
+            seen = camera, view(camera)
+            told = localise_run(config.map, recording, *seen, config, folder, start=config.start, remember=known)
+        print("\n".join(told))
+        return
     with contextlib.ExitStack() as at_end:
         live = watching(config, at_end)
         watched = at_end.enter_context(Watched(len(recording), live))

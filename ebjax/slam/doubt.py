@@ -12,18 +12,18 @@ from ebjax.odometry.steps import Steps
 PATIENCE = 3
 """A path in doubt is given up at the third keyframe."""
 FASTER = 3.0
-"""A step that shows itself longer than the view, and so many times faster than any of the last, is no step."""
+"""A step that wheels alone count, longer than the view and so many times faster than any of the last, is none."""
 
 
 class Doubt:
     """Rows of the first and the last step that nothing measured, where the path is in doubt.
 
     Args:
-      extent_m: of the floor view: steps no longer than that could have been seen.
+      extent_m: length of the floor view.
     """
 
     def __init__(self, extent_m: float):
-        self._extent_m, self._rows = extent_m, (-1, -1)
+        self._extent_m, self._rows, self._counted = extent_m, (-1, -1), False
 
     def __bool__(self) -> bool:
         """Whether the path is in doubt."""
@@ -38,7 +38,9 @@ class Doubt:
           fits: whether a closure says what the path says.
         """
         mine = steps.used & (steps.i == row)
-        if not (mine & (steps.j == row - 1)).any():
+        last = mine & (steps.j == row - 1)
+        self._counted = not (last & (steps.kind != "rotation")).any()
+        if not last.any():
             self._rows = (self._rows[0] if self else row), row
         if self and (fits or (mine & (steps.j < self._rows[0])).any()):
             self.end()
@@ -55,8 +57,7 @@ class Doubt:
           ways_m: lengths of the last steps.
           seconds: that each took.
         """
-        if not self:
-            return None
         fastest = float((ways_m[:-1] / seconds[:-1]).max(initial=0.0))
-        leapt = ways_m[-1] > self._extent_m + FASTER * fastest * seconds[-1]
-        return self._rows[1] if leapt or row - self._rows[0] + 1 >= PATIENCE else None
+        if self._counted and ways_m[-1] > self._extent_m + FASTER * fastest * seconds[-1]:
+            return row
+        return self._rows[1] if self and row - self._rows[0] + 1 >= PATIENCE else None

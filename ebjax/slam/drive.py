@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from ebjax.slam.config import PipelineConfig
 from ebjax.slam.engine import Engine
 from ebjax.slam.frame import Frame, Update
 from ebjax.slam.recording import Load, Recording
@@ -34,24 +35,34 @@ def drive(
       progress: wraps the loop.
       told: is called with every update.
     """
-    count, odometry = len(recording), recording.odom_from_base
-    if odometry is None or mapper.config.motion == "floor":
-        due = set(range(count))
-    else:
-        due = set(moved_enough(odometry, mapper.config.keyframe_m, mapper.config.keyframe_deg))
     first = mapper.next_frame
+    for k, frame in enumerate(progress(frames_of(recording, mapper.config, first), len(recording), "driving")):
+        if k < first:
+            mapper.pass_by(frame)
+        else:
+            told(mapper.add(frame))
+
+
+def frames_of(recording: Recording, config: PipelineConfig, first: int = 0) -> Iterator[Frame]:
+    """The frames of a recording; without images are those between keyframes, where odometry says which these are.
+
+    Args:
+      recording: of the run.
+      config: says what moved enough is.
+      first: frames before it come without images.
+    """
+    count, odometry = len(recording), recording.odom_from_base
+    due = set(range(count))
+    if odometry is not None and config.motion != "floor":
+        due = set(moved_enough(odometry, config.keyframe_m, config.keyframe_deg))
     due = {k for k in due if k >= first}
     with ThreadPoolExecutor(2) as pool:
         images = decoded_ahead(pool, recording.load, sorted(due))
-        for k in progress(range(count), count, "driving"):
+        for k in range(count):
             rgb, depth_m = (next(images) if k in due else None) or (None, None)
             odom = None if odometry is None else odometry[k]
             name = recording.names[k] if recording.names else str(k)
-            frame = Frame(float(recording.timestamps[k]), rgb, depth_m, odom, name)
-            if k < first:
-                mapper.pass_by(frame)
-            else:
-                told(mapper.add(frame))
+            yield Frame(float(recording.timestamps[k]), rgb, depth_m, odom, name)
 
 
 def moved_enough(odom_from_base: Float[np.ndarray, "F 3"], distance_m: float, turn_deg: float) -> list[int]:

@@ -50,7 +50,8 @@ class Whereabouts:
       stamp_s: its time, s.
       keyframe: its number among the run's keyframes; None where it is none.
       map_from_base: x, y (m), heading (rad); None while it is lost.
-      covariance: of that in its right tangent, seen from the map's settled keyframes; None while it is lost.
+      covariance: of that in its right tangent, seen from the map's settled keyframes; wider by a step that nothing
+        measured while the path is in doubt; None while it is lost.
       map_from_odom: what brings odometry into the map (REP 105); None while it is lost or without wheels. It may jump.
       state: "found" from where closures agree, or from the start that was given, until the path breaks.
       nearest: row of the map's keyframe that the newest believed closure ties it to; None where none is left.

@@ -203,8 +203,7 @@ class Walker:
         """Where keyframes from one on are thought to be before anything is fused: wheels, or the floor followed."""
         if self.follower is None:
             return self.keyframes.odom[first:]
-        at = np.searchsorted(self.follower.frames, self.keyframes.frame[first:])
-        return np.array(self.follower.poses)[at]
+        return np.array([self.follower.pose_of(int(number)) for number in self.keyframes.frame[first:]])
 
     def _go_on(self, row: int, stamp_s: float) -> None:
         """Measures the steps to the keyframe and adds it to the path."""

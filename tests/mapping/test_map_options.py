@@ -32,6 +32,10 @@ def done(path, out=Path("out"), **asked):
         (MapOptions(map=Path("m"), export=True, repair=True), None, ["--export and --repair", "one of them at a time"]),
         (MapOptions(map=Path("m"), forget=0, views=False), None, ["--forget and --no-views"]),
         (MapOptions(map=Path("m"), views=False), Path("log"), ["--no-views is for the map alone", "leave log out"]),
+        (MapOptions(start=(0.0, 0.0, 0.0)), Path("log"), ["--start X Y HEADING", "give --localise too"]),
+        (MapOptions(map=Path("m"), localise=True), None, ["give LOG --map FILE.ebmap --localise"]),
+        (MapOptions(localise=True), Path("log"), ["give LOG --map FILE.ebmap --localise"]),
+        (MapOptions(map=Path("m"), localise=True, export=True), Path("log"), ["--localise and --export"]),
     ],
 )
 def test_what_does_not_go_together_is_refused(options, log, words):

@@ -78,9 +78,10 @@ def test_a_closure_that_fits_ends_it():
 @pytest.mark.parametrize(
     ("last_m", "seconds", "row"), [(6.0, 0.5, 5), (1.4, 0.5, None), (2.4, 0.5, 5), (6.0, 5.0, None)]
 )
-def test_a_leap_that_no_robot_makes_is_a_break_at_once(last_m, seconds, row):
+@pytest.mark.parametrize("seen", [steps(), steps((5, 4), kind="rotation")])
+def test_a_leap_that_no_robot_makes_is_a_break_at_once(seen, last_m, seconds, row):
     doubt = Doubt(EXTENT_M)
-    doubt.go_on(5, steps(), False)
+    doubt.go_on(5, seen, False)
     assert broken(doubt, 5, last_m, seconds) == row
 
 
@@ -88,3 +89,9 @@ def test_a_first_step_says_what_a_view_says():
     doubt = Doubt(EXTENT_M)
     doubt.go_on(1, steps(), False)
     assert broken(doubt, 1, 0.3, count=1) is None and broken(doubt, 1, 9.0, count=1) == 1
+
+
+def test_a_leap_that_the_floor_shows_is_none():
+    doubt = Doubt(EXTENT_M)
+    doubt.go_on(5, steps((5, 4)), False)
+    assert broken(doubt, 5, 6.0) is None
