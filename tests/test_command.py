@@ -238,9 +238,8 @@ def test_a_damaged_program_in_the_cache_is_written_anew(own_cache, capsys, damag
         other = own_cache / "jit_tenfold_more-ab-cache"
         other.write_bytes(b"kept")
         file.write_bytes(damaged(before[file]))
-        whole = len(file.read_bytes())
         after = entries()[file]
-        assert len(after) > whole or len(after) == len(before[file])
+        assert after != damaged(before[file])
         assert abs(len(after) - len(before[file])) < 100
         assert other.read_bytes() == b"kept"
         settled = entries()

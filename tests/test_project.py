@@ -77,7 +77,8 @@ def imported(folder: str) -> set[str]:
                 modules |= {alias.name for alias in node.names}
             elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
                 modules.add(node.module)
-    names = {module.split(".")[0] for module in modules} - set(sys.stdlib_module_names) - {"ebjax"}
+    own = {"ebjax", *(file.stem for file in (ROOT / folder).rglob("*.py"))} if folder == "tests" else {"ebjax"}
+    names = {module.split(".")[0] for module in modules} - set(sys.stdlib_module_names) - own
     return {DISTRIBUTION.get(name, name).lower() for name in names}
 
 

@@ -18,7 +18,7 @@ from ebjax.places.retrieve import comparable, shortlist
 from ebjax.posegraph.graph import PoseGraph, make_graph
 from ebjax.posegraph.linear import analyse
 from ebjax.slam.path import path_of_wheels
-from ebjax.slam.select import Measured
+from ebjax.slam.believe import Measured
 from ebjax.slam.soft import (
     Pairs,
     Parameters,

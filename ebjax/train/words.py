@@ -24,7 +24,7 @@ from ebjax.train.views import sample_pairs
 class Config:
     """Learns the words of place descriptors on synthetic floors."""
 
-    descriptors: tuple[str, ...] = NAMES
+    descriptors: tuple[str, ...] = ("floornet",)
     """Whose words: floornet, rootsift-vlad."""
     weights: Path | None = None
     """Of floornet: a .safetensors file, or a folder with floornet.safetensors; None: those that come with ebjax."""
