@@ -8,7 +8,7 @@ from ebjax.geometry.camera import Camera
 from ebjax.geometry.planar import between
 from ebjax.io.sequence import Sequence
 from ebjax.mapping.open_run import RunOptions, flags_of
-from ebjax.mapping.store import MapStore, open_map
+from ebjax.mapping.store import MapStore, open_map, temporary_map
 from ebjax.slam.config import PipelineConfig
 from ebjax.slam.lean import Lean
 from ebjax.slam.run import Run
@@ -26,7 +26,7 @@ class KeptRun:
 
     def __init__(
         self,
-        path: Path,
+        path: Path | None,
         sequence: Sequence,
         config: PipelineConfig,
         facts: Mapping[str, Any],
@@ -35,7 +35,7 @@ class KeptRun:
         """Opens nothing yet.
 
         Args:
-          path: of the map.
+          path: of the map; None: a temporary one, which is removed when it is closed.
           sequence: the run.
           config: of the engine.
           facts: how the log is read, as `read_as` says.
@@ -55,13 +55,16 @@ class KeptRun:
             return self._store
         log, begins_s = str(self._sequence.path.resolve()), float(self._sequence.timestamps[0])
         run: dict[str, Any] = {"config": self._config, "lean": lean, "facts": self._facts}
-        self._store = open_map(self._path, log=log, first_stamp_s=begins_s, camera=camera, view=view, **run)
+        run |= {"log": log, "first_stamp_s": begins_s, "camera": camera, "view": view}
+        self._store = temporary_map(**run) if self._path is None else open_map(self._path, **run)
         for note in self._store.notes:
             self._say(note)
         return self._store
 
     def finished(self, result: Run) -> None:
         """Writes what the thought over run says and ends its session."""
+        if self._path is None:
+            return
         assert self._store is not None
         last, sequence = int(result.keyframes[-1]), self._sequence
         rest = [

@@ -251,6 +251,7 @@ def temporary_map(
     view: RunView,
     config: PipelineConfig,
     lean: Lean | None = None,
+    facts: Mapping[str, Any] | None = None,
     folder: str | Path | None = None,
 ) -> MapStore:
     """A map for one run that does not fit in memory; it is removed when it is closed.
@@ -262,11 +263,18 @@ def temporary_map(
       view: see there.
       config: see there.
       lean: see there.
+      facts: see there.
       folder: where; None: $TMPDIR, or the system's.
     """
     temporary = tempfile.TemporaryDirectory(prefix="ebjax-", dir=folder)
     try:
-        run: dict[str, Any] = {"log": log, "first_stamp_s": first_stamp_s, "config": config, "lean": lean}
+        run: dict[str, Any] = {
+            "log": log,
+            "first_stamp_s": first_stamp_s,
+            "config": config,
+            "lean": lean,
+            "facts": facts,
+        }
         store = open_map(Path(temporary.name) / "run.ebmap", camera=camera, view=view, **run)
     except BaseException:
         temporary.cleanup()

@@ -39,6 +39,9 @@ from ebjax.viz.run_folder import write_run
 from ebjax.viz.run_metrics import run_metrics, summary_lines
 from ebjax.worlds.render import render_sequence
 
+MOST_IN_MEMORY = 2000
+"""A longer run without --map is kept in a temporary map while it is driven: a keyframe takes about 100 kB."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Mount(MountConfig, MountOptions):
@@ -103,7 +106,7 @@ def main(config: Config) -> None:
         live = watching(config, at_end)
         watched = at_end.enter_context(Watched(len(recording), live))
         kept = None
-        if config.map is not None:
+        if config.map is not None or len(recording) > MOST_IN_MEMORY:
             kept = at_end.enter_context(KeptRun(config.map, sequence, config, read_as(config)))
         known = remembering(config, at_end)
         try:

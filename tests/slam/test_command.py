@@ -249,6 +249,16 @@ def test_other_programs_get_their_files(rendered, tmp_path, capsys):
     assert "building.ebmap: was made with mount" in line
 
 
+def test_a_long_run_is_kept_beside_memory_and_gives_the_same(rendered, tmp_path, monkeypatch):
+    slam(rendered, tmp_path / "short")
+    monkeypatch.setattr("ebjax.slam.__main__.MOST_IN_MEMORY", 10)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    slam(rendered, tmp_path / "long")
+    assert not list(tmp_path.glob("ebjax-*"))
+    for name in ("trajectory.tum", "loop_closures.csv", "pose_graph.g2o"):
+        assert (tmp_path / "long" / name).read_bytes() == (tmp_path / "short" / name).read_bytes()
+
+
 @pytest.mark.parametrize(
     ("flags", "words"),
     [
