@@ -310,8 +310,9 @@ def look(path):
 @pytest.fixture
 def locked_folder(tmp_path):
     """A folder in which nobody but root can write, below folders that all can enter."""
-    for folder in (tmp_path, tmp_path.parent, tmp_path.parent.parent):
-        folder.chmod(0o755)
+    for folder in (tmp_path, *tmp_path.parents):
+        if not folder.stat().st_mode & 0o001:
+            folder.chmod(0o755)
     folder = tmp_path / "folder"
     folder.mkdir()
     yield folder
