@@ -104,6 +104,7 @@ class Belief:
         self._alone = np.zeros(0, object)
         self._agree: dict[tuple[int, int], bool] = {}
         self._cliques: dict[tuple[int, ...], Bool[np.ndarray, " n"]] = {}
+        self._known = self._cliques
 
     @property
     def kept(self) -> Bool[np.ndarray, " K"]:
@@ -128,6 +129,7 @@ class Belief:
         self.reasons[alive[~best]] = THINNED
         alive = alive[best]
         pairs = np.stack([path.piece[candidates.i[alive]], path.piece[candidates.j[alive]]], 1)
+        self._known, self._cliques = self._cliques, {}
         for pair in np.unique(pairs, axis=0):
             self._groups(alive[(pairs == pair).all(1)], candidates, path, quality)
         top = self.config.top
@@ -150,14 +152,19 @@ class Belief:
 
     def _clique(self, group, candidates: Measured, path: Walked, quality) -> Bool[np.ndarray, " n"]:
         key = tuple(group.tolist())
+        if key in self._known:
+            self._cliques[key] = self._known[key]
         if key not in self._cliques:
-            lacking = [a for a in key if any((a, b) not in self._agree for b in key)]
-            if lacking:
-                loops = loops_of(candidates.rows(group), path)
-                for a in lacking:
-                    ways = np.asarray(_row_of_cycles(loops, key.index(a)))[:, : len(key)] <= CHI2_99[3]
-                    for b, one, other in zip(key, *ways, strict=True):
-                        self._agree[a, b] = self._agree[b, a] = bool(one and other)
+            lacking = {a: sum((a, b) not in self._agree for b in key) for a in key}
+            loops = loops_of(candidates.rows(group), path) if any(lacking.values()) else None
+            # One closure that is new lacks all others, and each of these only the new one.
+            while loops is not None and any(lacking.values()):
+                a = max(key, key=lambda k: lacking[k])
+                ways = np.asarray(_row_of_cycles(loops, key.index(a)))[:, : len(key)] <= CHI2_99[3]
+                for b, one, other in zip(key, *ways, strict=True):
+                    lacking[b] -= (a, b) not in self._agree and a != b
+                    self._agree[a, b] = self._agree[b, a] = bool(one and other)
+                lacking[a] = 0
             agree = np.array([[self._agree[a, b] for b in key] for a in key]).reshape(len(key), len(key))
             self._cliques[key] = largest_clique(agree, quality[group].astype(float))
         return self._cliques[key]
