@@ -16,6 +16,7 @@ from ebjax.odometry.bridge import step_of
 from ebjax.odometry.causal import Causal
 from ebjax.odometry.floor_steps import table_of
 from ebjax.odometry.image_corners import image_corners
+from ebjax.odometry.image_matches import ImageFeatures
 from ebjax.odometry.partners import REACH, partners_of_last
 from ebjax.odometry.steps import Steps, joined, no_steps
 from ebjax.places.descriptor import descriptor
@@ -88,6 +89,7 @@ class Walker:
         self.follower: Follower | None = None
         self._steps = no_steps()
         self._images: dict[int, tuple[np.ndarray, np.ndarray | None]] = {}
+        self._corners: dict[int, ImageFeatures] = {}
         self._asked: np.ndarray | None = None
         self._between: list[Between] = []
 
@@ -231,10 +233,14 @@ class Walker:
         seen = None if self.recording is None or self.recording.ignored is None else ~self.recording.ignored
         corners = []
         for number in numbers:
-            image = self._image(number)
-            if image is None:
-                return no_steps()
-            corners.append(image_corners(*image, self.camera, seen, None if level is None else level[number]))
+            found = self._corners.get(number)
+            if found is None:
+                image = self._image(number)
+                if image is None:
+                    return no_steps()
+                found = image_corners(*image, self.camera, seen, None if level is None else level[number])
+            corners.append(found)
+        self._corners = {numbers[0]: corners[0]}
         guess = self.chain.expected(stamp_s)
         return step_of(row, row - 1, corners[0], corners[1], self.camera, wheels, guess, self.config.odometry)
 
