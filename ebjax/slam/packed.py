@@ -1,4 +1,4 @@
-"""What is kept of a keyframe, about 115 kB: its floor view, its features, its place; and what is made of that again.
+"""What is kept of a keyframe, about 95 kB: its floor view, its features, its place; and what is made of that again.
 
 Descriptors and place maps are kept in 8 bits, each array with one scale, and the floor view as JPEG. What is matched
 and compared is always what was kept, so that a run gives the same whether its keyframes are in memory or in a file.

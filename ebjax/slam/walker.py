@@ -147,7 +147,16 @@ class Walker:
                 f"frame {frame.name or len(self.frames)} is an image of shape {frame.rgb.shape}, the camera's are "
                 f"{(camera.height, camera.width, 3)}"
             )
+        if frame.rgb is not None and frame.rgb.dtype != np.uint8:
+            raise ValueError(f"frame {frame.name or len(self.frames)} is of {frame.rgb.dtype}; give uint8, RGB")
+        if frame.depth_m is not None and frame.depth_m.shape != (camera.height, camera.width):
+            raise ValueError(
+                f"frame {frame.name or len(self.frames)} has depth of shape {frame.depth_m.shape}, the camera's images "
+                f"are {(camera.height, camera.width)}"
+            )
         wheels = frame.odom_from_base
+        if not np.isfinite([frame.stamp_s, *([] if wheels is None else wheels)]).all():
+            raise ValueError(f"frame {frame.name or len(self.frames)} has a time or odometry that is not finite")
         if not len(self.frames):
             if wheels is None and config.motion not in (None, "floor"):
                 raise ValueError(f"--motion {config.motion} needs odometry; run with --motion floor")

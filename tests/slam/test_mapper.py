@@ -137,6 +137,11 @@ def test_frames_that_cannot_be_are_refused_in_one_line(run):
         engine.add(Frame(2.0, rgb[:10, :10], None, odom, "c.png"))
     with pytest.raises(ValueError, match=r"frame d.png: some frames have odometry and some have none"):
         engine.add(Frame(2.0, rgb, depth, None, "d.png"))
+    with pytest.raises(ValueError, match=r"frame e.png has depth of shape \(10, 10\), the camera's images are"):
+        engine.add(Frame(2.0, None, np.zeros((10, 10), np.float32), odom, "e.png"))
+    for stamp_s, wheels in ((np.nan, odom), (2.0, np.array([0.0, np.nan, 0.0]))):
+        with pytest.raises(ValueError, match=r"frame f\.png has a time or odometry that is not finite"):
+            engine.add(Frame(stamp_s, rgb, depth, wheels, "f.png"))
     with pytest.raises(ValueError, match="--motion wheels needs odometry"):
         Mapper(camera, PipelineConfig(motion="wheels")).add(Frame(1.0, rgb, depth))
     assert engine.add(Frame(3.0, rgb, depth, odom, "e.png")).frame == 1
