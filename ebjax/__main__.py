@@ -1,8 +1,13 @@
-"""Lists the commands of ebjax."""
+"""Lists the commands of ebjax, and runs them: `ebjax slam LOG` is `python -m ebjax.slam LOG`."""
 
 import ast
+import difflib
+import os
+import runpy
 import sys
 from pathlib import Path
+
+import ebjax
 
 
 def commands() -> dict[str, str]:
@@ -15,14 +20,41 @@ def commands() -> dict[str, str]:
 
 
 def main() -> None:
-    """Prints one line a command; an argument is a mistake and gets exit code 2."""
-    arguments = [argument for argument in sys.argv[1:] if argument not in ("-h", "--help")]
-    if arguments:
-        print(f"error: no command {arguments[0]!r} here; `python -m ebjax` lists them", file=sys.stderr)
+    """Runs `ebjax COMMAND ...`; prints one line a command, or the version; another word gets exit code 2."""
+    first = sys.argv[1] if len(sys.argv) > 1 else "--help"
+    if f"ebjax.{first}" in commands():
+        _run(first)
+    elif first == "--version":
+        _say([f"ebjax {ebjax.__version__}"])
+    elif first in ("-h", "--help"):
+        width = max(map(len, commands()))
+        lines = [f"  {name.replace('.', ' '):{width}}  {line}" for name, line in commands().items()]
+        _say([
+            "Closes loops from opposing viewpoints (Early Bird in JAX). Commands, each with --help:",
+            *("", *lines, ""),
+            "`ebjax slam` is `python -m ebjax.slam`, and so on. `ebjax --version` prints the version.",
+        ])  # fmt: skip
+    else:
+        close = difflib.get_close_matches(first, [name.partition(".")[2] for name in commands()], n=1)
+        hint = f"did you mean `ebjax {close[0]}`?" if close else "`ebjax --help` lists them"
+        print(f"error: there is no command {first!r}; {hint}", file=sys.stderr)
         sys.exit(2)
-    print("Early Bird in JAX. Commands, each with --help:\n")
-    for name, line in commands().items():
-        print(f"  python -m {name:18} {line}")
+
+
+def _run(room: str) -> None:
+    """Runs the command of a room as `python -m` does."""
+    del sys.argv[1]
+    # Where a part of one's own may lie.
+    sys.path.insert(0, os.getcwd())
+    runpy.run_module(f"ebjax.{room}", run_name="__main__", alter_sys=True)
+
+
+def _say(lines: list[str]) -> None:
+    """Prints; a reader that went away (`| head`) is no fault."""
+    try:
+        print("\n".join(lines), flush=True)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 if __name__ == "__main__":

@@ -52,10 +52,16 @@ def run(
         if needs_jax:
             setup_jax()
         main(config)
+        sys.stdout.flush()
     except BrokenPipeError:
-        # The reader of our output went away (`| head`); nothing is left to tell it.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _nobody_reads()
         sys.exit(0)
+    except SystemExit:  # after --help
+        try:
+            sys.stdout.flush()
+        except BrokenPipeError:
+            _nobody_reads()
+        raise
     except (ValueError, OSError) as error:
         if os.environ.get("EBJAX_DEBUG") == "1":
             raise
@@ -170,6 +176,11 @@ def progress(iterable: Iterable[Item], total: int | None = None, label: str = ""
     from rich.progress import track
 
     yield from track(iterable, description=label, total=total, console=Console(stderr=True), transient=True)
+
+
+def _nobody_reads() -> None:
+    """The reader of our output went away (`| head`); nothing is left to tell it."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _fields(config: Any) -> dict[str, Any]:

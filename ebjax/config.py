@@ -5,9 +5,11 @@ import difflib
 import math
 import types
 import typing
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
 import tyro
 import yaml
 
@@ -40,19 +42,36 @@ def load_config(path: str | Path, config_class: type[Config]) -> Config:
     return _build(path, "", config_class, {} if values is None else values)
 
 
+def config_from(values: Mapping[str, Any], config_class: type[Config], source: str) -> Config:
+    """Builds the config that Python values describe, as `load_config` does of a file's; configs are mappings too.
+
+    Args:
+      values: by the names of the fields.
+      config_class: the schema and the defaults.
+      source: what was called, for messages.
+
+    Raises:
+      ValueError: as `load_config`.
+    """
+    return _build(source, "", config_class, plain(values))
+
+
 def dump_config(config: Any, path: str | Path) -> None:
     """Writes every field of a config as YAML, whole; `--config` reads it back."""
     with whole_file(path) as file:
-        yaml.safe_dump(_plain(config), file, sort_keys=False, default_flow_style=None, allow_unicode=True, width=120)
+        yaml.safe_dump(plain(config), file, sort_keys=False, default_flow_style=None, allow_unicode=True, width=120)
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """A config, or a value of one, as YAML holds it."""
     if dataclasses.is_dataclass(value):
-        return {field.name: _plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
+        return {field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
     if isinstance(value, tuple | list):
-        return [_plain(item) for item in value]
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
+        return [plain(item) for item in value]
+    if isinstance(value, Mapping):
+        return {key: plain(item) for key, item in value.items()}
     return str(value) if isinstance(value, Path) else value
 
 

@@ -1,19 +1,33 @@
 """Every test runs in float64 with strict ranks; the shared data sets are found through EBJAX_DATA."""
 
+import contextlib
+import fcntl
+import importlib.util
+import io
 import os
+import runpy
+import subprocess
+import sys
 from collections import Counter
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import jax
 import pytest
 
+from ebjax.command import setup_jax
+
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
 MAPS, MOST_MAPS = Path("/proc/self/maps"), Path("/proc/sys/vm/max_map_count")
 DATA = Path(os.environ.get("EBJAX_DATA", Path(__file__).parents[2] / "shared" / "data"))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def programs_are_kept():
+    """Compiled programs are kept as commands keep them: for the other worker, and for the next run of the tests."""
+    setup_jax()
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -37,6 +51,50 @@ def data():
     return find
 
 
+@pytest.fixture
+def program():
+    """Returns a function: `python -m MODULE ARGUMENTS`, in this process, its imports and compiled programs at hand."""
+
+    def ended(module, *arguments, cwd):
+        argv, out, err = [module, *map(str, arguments)], io.StringIO(), io.StringIO()
+        with contextlib.chdir(cwd), pytest.MonkeyPatch.context() as patch:
+            patch.setattr(sys, "argv", argv)
+            with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+                try:
+                    runpy.run_path(importlib.util.find_spec(f"{module}.__main__").origin, run_name="__main__")
+                    code = 0
+                except SystemExit as stop:
+                    code = stop.code or 0
+        return subprocess.CompletedProcess(argv, code, out.getvalue(), err.getvalue())
+
+    return ended
+
+
+@pytest.fixture
+def unpainted(monkeypatch):
+    """Figures are made and not painted, which is half the time of a small run."""
+    monkeypatch.setattr("ebjax.viz.figures.painted", lambda figure: b"")
+
+
+@pytest.fixture(scope="session")
+def made_once(tmp_path_factory):
+    """Returns a function: a folder that `make(folder)` fills once for all of xdist's workers; the others wait."""
+    base = tmp_path_factory.getbasetemp()
+    base = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+
+    def made(name, make):
+        folder = base / name
+        with open(base / f"{name}.made", "a+") as done:
+            fcntl.flock(done, fcntl.LOCK_EX)
+            if not done.seek(0, os.SEEK_END):
+                folder.mkdir()
+                make(folder)
+                done.write("whole")
+        return folder
+
+    return made
+
+
 _COMPILED = "/jax/core/compile/backend_compile_duration"
 _HIT = "/jax/compilation_cache/cache_hits"
 
@@ -54,7 +112,7 @@ class Programs:
         return self.asked.total() - self.hits
 
 
-@contextmanager
+@contextlib.contextmanager
 def _counted():
     found = Programs()
 

@@ -14,6 +14,7 @@ import jax
 import pytest
 import tyro
 
+import ebjax
 from ebjax.__main__ import commands
 from ebjax.command import _mend_or_show, dump_config, parse, progress, run, setup_jax
 from ebjax.config import load_config
@@ -265,9 +266,20 @@ def test_package_lists_its_commands():
     result = python("-m", "ebjax")
     assert result.returncode == 0
     for name, line in commands().items():
-        assert line.endswith((".", ":")) and f"python -m {name}" in result.stdout and line in result.stdout
+        assert line.endswith((".", ":")) and f"  {name.replace('.', ' ')} " in result.stdout and line in result.stdout
     assert "ebjax.evaluation" in commands()
-    assert python("-m", "ebjax", "slam").returncode == 2
+    assert python("-m", "ebjax", "--version").stdout == f"ebjax {ebjax.__version__}\n"
+    wrong = python("-m", "ebjax", "slma")
+    assert wrong.returncode == 2 and wrong.stderr == "error: there is no command 'slma'; did you mean `ebjax slam`?\n"
+    assert python("-m", "ebjax", "xyzzy").stderr.endswith("`ebjax --help` lists them\n")
+
+
+def test_the_console_runs_a_command_as_python_m_does(tmp_path):
+    script = ["-c", "import sys; from ebjax.__main__ import main; main()"]
+    assert python(*script, "evaluation", "--help").stdout == python("-m", "ebjax.evaluation", "--help").stdout
+    absent = [str(tmp_path / "a.txt"), str(tmp_path / "b.txt")]
+    result = python(*script, "evaluation", *absent)
+    assert result.returncode == 2 and result.stderr.startswith(f"error: {absent[0]}") and result.stderr.count("\n") == 1
 
 
 @pytest.mark.parametrize("name", commands())
@@ -278,8 +290,8 @@ def test_every_command_has_help_and_config(name):
 
 
 @pytest.mark.parametrize("name", commands())
-def test_every_command_refuses_an_unknown_flag_in_one_line(name):
-    result = python("-m", name, "--no-such-flag")
+def test_every_command_refuses_an_unknown_flag_in_one_line(program, tmp_path, name):
+    result = program(name, "--no-such-flag", cwd=tmp_path)
     assert result.returncode == 2
     assert result.stderr.startswith("error: ") and result.stderr.count("\n") == 1
 
@@ -290,6 +302,14 @@ def test_closed_output_is_not_an_error():
     pipe = f'"{sys.executable}" -c "$0" | head -c 5'
     result = subprocess.run(["bash", "-c", pipe, code], capture_output=True, text=True, check=False)
     assert result.stdout == "yyyyy" and result.stderr == ""
+
+
+@pytest.mark.parametrize("words", [("ebjax",), ("ebjax.evaluation", "--help")])
+def test_a_reader_that_goes_away_gets_no_traceback(words):
+    """It is gone before the first line comes."""
+    code = "import subprocess, sys; p = subprocess.Popen(sys.argv[1:], stdout=-1, stderr=-1, text=True)\n"
+    code += "p.stdout.close(); print(p.wait(), p.stderr.read())"
+    assert python("-c", code, sys.executable, "-m", *words).stdout.split() == ["0"]
 
 
 def test_config_classes_are_frozen():

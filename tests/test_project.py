@@ -90,7 +90,7 @@ def test_every_import_is_a_declared_dependency():
     assert imported("ebjax") <= core.union(*extras.values()), "what ebjax imports, it or one of its extras must bring"
     assert imported("tests") <= core | test
     pinned = {line.split("==")[0] for line in (ROOT / "configs" / "constraints.txt").read_text().splitlines()}
-    assert core | test <= pinned, "resolve configs/constraints.txt again (README, Development)"
+    assert core | test <= pinned, "resolve configs/constraints.txt again (ebjax/README.md)"
 
 
 def test_the_readme_sets_up_and_tests_as_the_checks_do():
@@ -101,19 +101,13 @@ def test_the_readme_sets_up_and_tests_as_the_checks_do():
     assert run[-1] == "python -m ebjax.slam --out runs/demo"
     checks = (ROOT / ".ci" / "run").read_text(encoding="utf-8").replace("--quiet ", "").splitlines()
     assert test[-2] in checks
-    assert any(line.startswith(test[-1]) for line in checks)
+    assert any(line.startswith(test[-1].removesuffix(' -m "not slow"')) for line in checks), "and the slow ones too"
 
 
 def test_the_readme_names_every_command():
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     named = set(re.findall(r"python -m (ebjax\.\w+)", readme))
     assert named == set(commands()), "the README names exactly the commands that exist"
-
-
-def test_the_readme_points_at_files_that_exist():
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    for target in re.findall(r"\]\(([^)#:]+)\)", readme):
-        assert (ROOT / target).exists(), target
 
 
 @pytest.mark.parametrize("path", CONFIGS, ids=lambda path: str(path.relative_to(ROOT / "configs")))

@@ -30,6 +30,7 @@ from ebjax.io.logs.mount_options import MountOptions
 from ebjax.io.pairs import read_pairs
 from ebjax.models.d2net import OFFSETS
 from ebjax.models.fast import Arithmetic
+from ebjax.parts import OWN, is_own
 from ebjax.views.run_view import choose_floor
 from ebjax.viz import figures
 
@@ -84,7 +85,8 @@ class TableConfig:
     out: Path
     """Folder for table.md and table.json."""
     extractors: tuple[str, ...] = tuple(EXTRACTORS)
-    """Which local features; one that cannot be used here is left out, and why is said."""
+    """Which local features, your own too (package.module:NAME, whose code is then run); one that cannot be used here is
+    left out, and why is said."""
     weights: Path | None = None
     """Folder of the networks' weights; None: $EBJAX_WEIGHTS or ~/.cache/ebjax/weights."""
     arithmetic: Arithmetic = "exact"
@@ -243,8 +245,8 @@ def write(
 
 def table(config: TableConfig) -> None:
     """Reads, compares, prints, writes."""
-    if unknown := [name for name in config.extractors if name not in EXTRACTORS]:
-        raise ValueError(f"extractor {unknown[0]!r} is unknown; choose of {', '.join(EXTRACTORS)}")
+    if unknown := [name for name in config.extractors if name not in EXTRACTORS and not is_own(name)]:
+        raise ValueError(f"extractor {unknown[0]!r} is unknown; choose of {', '.join(EXTRACTORS)}, or {OWN}")
     pairs = [Pair(f.name, *read_both(f.a, f.b), f.quad, f.b_from_a) for f in read_pairs(config.pairs)]
     found, absent = usable(config.extractors, config.weights, config.arithmetic)
     if not found:

@@ -1,17 +1,22 @@
-"""The local features that can be selected by name. A new one is one file and one line here."""
+"""The local features that can be selected by name. A new one is one file and one line here, or one of your own.
+
+One of your own is named `my_package.mine:NAME`, from anywhere; its code is then run. `ebjax.testing.check_extractor`
+says whether it keeps to what is promised here.
+"""
 
 import dataclasses
 import functools
-import importlib
+import typing
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ebjax.features.matching import Features
 from ebjax.models.fast import Arithmetic
+from ebjax.parts import find
 
 EXTRACTORS = {
     "floornet": "ebjax.features.floornet:floornet",
@@ -23,7 +28,30 @@ EXTRACTORS = {
     "d2net": "ebjax.features.networks:d2net",
     "alike": "ebjax.features.networks:alike",
 }
-"""Each is an `Extractor` or, for a network, a function of its weights file and its arithmetic that gives one."""
+"""Each is an `Extractor` or, for a network, what makes one of its weights file and its arithmetic."""
+
+
+@typing.runtime_checkable
+class Extract(Protocol):
+    """What finds the features of one view."""
+
+    def __call__(self, view: Float[Array, "H W 3"], seen: Bool[Array, "H W"], /) -> Features:
+        """A fixed number of rows; those that hold no feature are not valid.
+
+        Args:
+          view: of the floor, RGB in [0, 1].
+          seen: the field of view; the rest must not matter.
+        """
+        ...
+
+
+@typing.runtime_checkable
+class Turn(Protocol):
+    """What makes the descriptors of the turned view from those of the view as it is."""
+
+    def __call__(self, descriptors: Float[Array, "*n D"], /) -> Float[Array, "*n D"]:
+        """Those of the same keypoints in the view turned by pi."""
+        ...
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,15 +62,15 @@ class Extractor:
     in the turned view from those they have; a network has to look again.
 
     Attributes:
-      extract: (view "H W 3", RGB in [0, 1]; seen "H W" bool, the field of view) -> Features of a fixed number of rows.
+      extract: see `Extract`.
       jitted: whether `extract` may be called inside a jitted program; else it is called from the host.
       turn: descriptors -> those of the same keypoints in the view turned by pi; None looks again.
       weights: the file they were read from.
     """
 
-    extract: Callable[..., Features]
+    extract: Extract
     jitted: bool
-    turn: Callable[..., Any] | None
+    turn: Turn | None
     weights: Path | None = None
 
     def turned(self, view: Float[Array, "H W 3"], seen: Bool[Array, "H W"]) -> Features:
@@ -60,28 +88,37 @@ def unturned(descriptors: Float[Array, "*n D"]) -> Float[Array, "*n D"]:
     return descriptors
 
 
-@functools.cache
 def extractor(name: str, weights: Path | None = None, arithmetic: Arithmetic = "exact") -> Extractor:
     """Looks an extractor up and imports it.
 
     Args:
-      name: one of EXTRACTORS.
+      name: one of EXTRACTORS, or `my_package.mine:NAME`: an `Extractor`, or a function of (weights, arithmetic) that
+        gives one.
       weights: of a network: a .safetensors file, or a folder that holds NAME.safetensors; None looks in the usual
         place, see `ebjax.models.locate`. The others need none.
       arithmetic: of a network, see there.
 
     Raises:
-      ValueError: no such name; a network without weights, or with another's; a package that is not installed.
+      ValueError: no such name, or no extractor; a network without weights, or with another's; a package that is not
+        installed.
       OSError: the weights cannot be read.
     """
-    if name not in EXTRACTORS:
-        raise ValueError(f"extractor {name!r} is unknown; choose one of {', '.join(EXTRACTORS)}")
-    module, attribute = EXTRACTORS[name].split(":")
     try:
-        found = getattr(importlib.import_module(module), attribute)
+        found = find("extractor", name, EXTRACTORS)
     except ImportError as error:
         raise ValueError(f'{name} needs {error.name}: pip install "ebjax[{name}]"') from None
-    return found if isinstance(found, Extractor) else found(weights, arithmetic)
+    made = _made(found, weights, arithmetic) if callable(found) else found
+    if not isinstance(made, Extractor):
+        raise ValueError(
+            f"extractor {name!r} is a {type(made).__name__}; give an ebjax.Extractor, or a function of (weights, "
+            "arithmetic) that returns one"
+        )
+    return made
+
+
+@functools.lru_cache(maxsize=32)
+def _made(make: Callable[[Path | None, Arithmetic], Any], weights: Path | None, arithmetic: Arithmetic) -> Any:
+    return make(weights, arithmetic)
 
 
 def usable(

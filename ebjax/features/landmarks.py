@@ -1,7 +1,6 @@
 """The features of a frame with where they lie in base: on the floor, and by depth."""
 
 import dataclasses
-import typing
 from typing import Any
 
 import jax
@@ -13,13 +12,12 @@ from ebjax.features.matching import Features
 from ebjax.features.measure import lift
 from ebjax.geometry.camera import Camera, backproject, image_from_floor
 from ebjax.geometry.homography import apply
+from ebjax.geometry.pytree import pytree
 from ebjax.models.luma import luma
 from ebjax.views.run_view import RunView
 
 
-@typing.no_type_check
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
+@pytree
 class Landmarks:
     """The features of a frame, or with a leading axis of many, and where they lie in base."""
 

@@ -1,16 +1,13 @@
 """Descriptor matching in JAX: mutual nearest neighbours and Lowe's ratio, fixed shapes."""
 
-import dataclasses
-import typing
-
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from ebjax.geometry.pytree import pytree
 
-@typing.no_type_check
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
+
+@pytree
 class Features:
     """Keypoints (x, y) px and unit descriptors of one view; rows that are not `valid` hold anything."""
 
@@ -19,9 +16,7 @@ class Features:
     valid: Bool[Array, "*n K"]
 
 
-@typing.no_type_check
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
+@pytree
 class Matches:
     """Rows of the two feature sets that belong together, best ratio first."""
 

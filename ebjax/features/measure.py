@@ -10,14 +10,11 @@ with sigma^2 the weighted mean squared residual per axis. Matches of one view sh
 which no number of inliers averages away: Sigma_0 is that floor.
 """
 
-import dataclasses
-import typing
-
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ebjax.geometry.camera import Camera, backproject, raw_from_ideal
+from ebjax.geometry.pytree import pytree
 from ebjax.geometry.rigid import kabsch
 
 SHARED_SIGMA = (0.005, 0.005, 0.002)
@@ -26,9 +23,7 @@ MATCHES_PER_CORNER = 4.0
 """Neighbouring matches see the same texture: so many count as one independent observation."""
 
 
-@typing.no_type_check
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
+@pytree
 class LoopMeasurement:
     """i_from_j (x m, y m, theta rad), its covariance in the right tangent, and the rms residual of the points, m."""
 

@@ -11,9 +11,6 @@ has the strong correlation of y and heading that a patch ahead of the robot impl
 share: what they share is the camera's mount, which the run estimates, and the view's noise, which `EXCESS` counts.
 """
 
-import dataclasses
-import typing
-
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
@@ -24,6 +21,7 @@ from ebjax.features.measure import LoopMeasurement
 from ebjax.features.verify import Verified
 from ebjax.geometry.camera import Camera, backproject, image_from_floor, raw_slopes
 from ebjax.geometry.homography import apply, slopes
+from ebjax.geometry.pytree import pytree
 from ebjax.geometry.rigid import kabsch
 from ebjax.views.run_view import RunView
 
@@ -43,9 +41,7 @@ MEDIAN = 1.3863
 """Of chi-square with two degrees of freedom."""
 
 
-@typing.no_type_check
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
+@pytree
 class PairMatches:
     """What a pair's matches are, whatever the mount of the camera: pixels, and points in the camera's frame.
 

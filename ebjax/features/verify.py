@@ -5,23 +5,20 @@ whatever the direction; without one, the homography between the two views. One p
 sets; vmap or `lax.map` it.
 """
 
-import dataclasses
 import math
-import typing
 
-import jax
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, UInt32
 
 from ebjax.features.matching import Features, mutual_nearest
+from ebjax.geometry.pytree import pytree
 from ebjax.geometry.ransac import Model, estimate
 
 HYPOTHESES = {"rigid": 512, "similarity": 512, "homography": 4096}
 """Random sets: four good matches of a homography's set at once are rare."""
 
 
-@typing.no_type_check
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
+@pytree
 class Verified:
     """What two views have in common: point rows that match, which of them agree, and the motion they agree on."""
 
@@ -32,12 +29,12 @@ class Verified:
     query_from_reference: Float[Array, "*n 3 3"]
 
     @property
-    def count(self) -> Int[Array, "*n"]:
+    def count(self) -> Int[Array | np.ndarray | np.integer, "*n"]:
         """Inliers."""
         return self.inliers.sum(-1)
 
     @property
-    def total(self) -> Int[Array, "*n"]:
+    def total(self) -> Int[Array | np.ndarray | np.integer, "*n"]:
         """Putative matches."""
         return self.matched.sum(-1)
 

@@ -4,8 +4,6 @@ A pair's random hypotheses are drawn from its own numbers, so that what it gives
 in which order or how many at a time.
 """
 
-import dataclasses
-import typing
 from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Any
@@ -19,15 +17,14 @@ from ebjax.features.measure import LoopMeasurement
 from ebjax.features.settle import PairMatches, depth_motion, floor_motion, pair_matches
 from ebjax.features.verify import Verified, verify
 from ebjax.geometry.camera import Camera
+from ebjax.geometry.pytree import pytree
 from ebjax.views.run_view import RunView
 
 BLOCK = 64
 """Pairs whose matches are asked for at once."""
 
 
-@typing.no_type_check
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
+@pytree
 class Settled:
     """A pair's motion by the floor and by depth under a camera's mount, and how many matches have depth."""
 
@@ -36,9 +33,7 @@ class Settled:
     with_depth: Int[Array, "*n"]
 
 
-@typing.no_type_check
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
+@pytree
 class VerifiedPair:
     """RANSAC's matches of a pair, what is known of each of them, and the motion they settle on."""
 

@@ -4,21 +4,17 @@ Analytic, so that their depth is exact. World: z up, metres. Rays are lists of t
 length: t is whatever the ray's parameter is.
 """
 
-import dataclasses
-import typing
-
 import jax
 import jax.numpy as jnp
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
+from ebjax.geometry.pytree import pytree
+
 Plane = Float[Array, "H W"]
 
 
-# Unchecked at run time: vmap and scan rebuild the nodes with batched or placeholder leaves.
-@typing.no_type_check
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
+@pytree
 class Boxes:
     """Upright boxes with horizontal bands of two colours."""
 
@@ -34,9 +30,7 @@ class Boxes:
     """Height of a pair of bands, m."""
 
 
-@typing.no_type_check
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
+@pytree
 class Posts:
     """Upright round posts without caps."""
 

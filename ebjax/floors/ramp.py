@@ -5,7 +5,6 @@ lines across the whole world. Ceiling, doors, furniture and people keep their he
 are the plan's: tiles on the ramp are longer by 1 / cos(slope).
 """
 
-import dataclasses
 import typing
 
 import jax
@@ -14,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ebjax.floors.plan import PlanConfig, polyline
+from ebjax.geometry.pytree import pytree
 
 TRACK_M, CASTER_M = 0.33, 0.22
 """A P3DX: between its two wheels, and from their axis back to the caster."""
@@ -21,10 +21,7 @@ MOST_DEG = 20.0
 Plane = Float[Array, "H W"]
 
 
-# Unchecked at run time: vmap and tree_map rebuild the node with batched or placeholder leaves.
-@typing.no_type_check
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
+@pytree
 class Ramp:
     """Where the floor climbs; the leaves are NumPy's or JAX's."""
 

@@ -4,20 +4,15 @@ A pinhole's rays have depth 1 along the optical axis. So have these, up to 87 de
 has depth, their length is 20.
 """
 
-import dataclasses
-import typing
-
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ebjax.geometry.camera import LEAST_COSINE, Camera, rays_of
+from ebjax.geometry.pytree import pytree
 
 
-# Unchecked at run time: vmap and tree_map rebuild the node with batched or placeholder leaves.
-@typing.no_type_check
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
+@pytree
 class Rays:
     """Rays in the camera's frame."""
 

@@ -18,6 +18,7 @@ from ebjax.floors.ramp import Ramp, see_level
 from ebjax.floors.rays import Rays, bent_rays
 from ebjax.floors.scene import CEILING_M, LAMP_SPACING_M, Scene, ceiling, covered, lamps, nearest_wall, wall_colour
 from ebjax.geometry.camera import Camera
+from ebjax.geometry.pytree import pytree
 
 LAMP_RADIANCE = 3.0
 DAYLIGHT_M = 60.0
@@ -27,10 +28,7 @@ Step = list[Component] | Float[Array, "3 *rows"]
 Things = typing.TypeVar("Things", Boxes, Posts)
 
 
-# Unchecked at run time: vmap and tree_map rebuild the node with batched or placeholder leaves.
-@typing.no_type_check
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
+@pytree
 class Light:
     """What differs between two traverses of the same corridor; leading axes stack several lights."""
 
@@ -48,9 +46,7 @@ class Light:
     """Where along the corridors it does, m."""
 
 
-@typing.no_type_check
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
+@pytree
 class Passers:
     """What moves from frame to frame; heights are above the floor."""
 

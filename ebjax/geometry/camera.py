@@ -19,16 +19,14 @@ from ebjax.geometry.homography import Arrays, Scalar, denominator, safe_denomina
 from ebjax.geometry.homography import apply as apply_homography
 from ebjax.geometry.lens import PINHOLE, Lens, bend_parts, lens
 from ebjax.geometry.lens_inverse import unbend
+from ebjax.geometry.pytree import pytree
 
 OUTSIDE_PX = -1e6
 LEAST_COSINE = 0.05
 """Between a ray and the optical axis: a pinhole's image of what lies farther out, 87 degrees, is endless."""
 
 
-# Unchecked at run time: vmap and tree_map rebuild the node with batched or placeholder leaves.
-@typing.no_type_check
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
+@pytree
 class Camera:
     """Intrinsics K (px), p_base = base_from_camera p_camera (m), the image size (px), and the lens before it."""
 

@@ -6,7 +6,6 @@ their coefficients. Outside a lens's domain, behind it or beyond where its image
 
 import dataclasses
 import math
-import typing
 from collections.abc import Callable
 from functools import partial
 
@@ -17,6 +16,7 @@ from jaxtyping import Array, Bool, Float
 
 from ebjax.geometry.homography import Arrays
 from ebjax.geometry.lens_models import lens_fault
+from ebjax.geometry.pytree import pytree
 
 SAMPLES = 1025
 HALVINGS = 48
@@ -26,10 +26,7 @@ STEEPEST = math.radians(89.9)
 """Plumb-bob lenses are looked at up to this angle from the optical axis."""
 
 
-# Unchecked at run time: vmap and tree_map rebuild the node with batched or placeholder leaves.
-@typing.no_type_check
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
+@pytree
 class Lens:
     """A distortion model by ROS's name, and its coefficients in OpenCV's order."""
 

@@ -1,7 +1,6 @@
 """A camera's mount on a robot, differentiable: its pose from the six numbers of `mount_numbers`, and changes of it."""
 
 import dataclasses
-import typing
 
 import jax
 import jax.numpy as jnp
@@ -9,6 +8,7 @@ from jaxtyping import Array, Float
 
 from ebjax.geometry.camera import Camera
 from ebjax.geometry.homography import Arrays
+from ebjax.geometry.pytree import pytree
 
 Mount = Float[Arrays, "6"]
 
@@ -25,10 +25,7 @@ def base_from_mounted_camera(mount: Mount) -> Float[Array, "4 4"]:
     return jnp.concatenate([top, jnp.stack([zero, zero, zero, one])[None, :]])
 
 
-# Unchecked at run time: vmap and optimisers rebuild the node with other leaves.
-@typing.no_type_check
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
+@pytree
 class Mounting:
     """What is added to a camera's pitch and roll, rad, and to its height above the floor, m."""
 

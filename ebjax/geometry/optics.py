@@ -1,20 +1,16 @@
 """Changes of what a camera's intrinsics and lens say, differentiable: the counterpart of `mount.Mounting`."""
 
 import dataclasses
-import typing
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ebjax.geometry.camera import Camera
 from ebjax.geometry.lens import Lens
+from ebjax.geometry.pytree import pytree
 
 
-# Unchecked at run time: vmap and optimisers rebuild the node with other leaves.
-@typing.no_type_check
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
+@pytree
 class Optics:
     """What is added to a camera's fx, fy, cx, cy, px, and to the coefficients of its lens."""
 

@@ -3,7 +3,6 @@
 Jitted; vmap it over pairs (one key each). Points in any unit; the tolerance is in the target's.
 """
 
-import dataclasses
 import typing
 from functools import partial
 
@@ -13,6 +12,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, UInt32
 
 from ebjax.geometry.homography import Arrays, Scalar, denominator, from_four_points, orient
 from ebjax.geometry.homography import fit as fit_homography
+from ebjax.geometry.pytree import pytree
 from ebjax.geometry.rigid import fit_rigid, fit_similarity
 
 Key = PRNGKeyArray | UInt32[Array, "2"]
@@ -21,9 +21,7 @@ FITS = {"rigid": fit_rigid, "similarity": fit_similarity, "homography": fit_homo
 ROUNDS = 3
 
 
-@typing.no_type_check
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
+@pytree
 class RansacResult:
     """target = homography(source), w > 0 at the inliers; which they are; how many. Nothing found: identity and 0."""
 

@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from ebjax.features.extractor import extractor
 from ebjax.geometry.camera import Camera
 from ebjax.geometry.homography import apply
 from ebjax.geometry.mount_numbers import mount_of
+from ebjax.parts import is_own, version_of
 from ebjax.places.descriptor import descriptor
 from ebjax.places.fixed_words import NAMES, digest_of, fixed_words
 from ebjax.slam.config import PipelineConfig
@@ -21,11 +22,15 @@ TOLERANCE = 1e-6
 """Of numbers, absolute and relative: what two ways of computing one camera differ in is less."""
 MADE_BY = ("descriptor", "extractor", "weights")
 """Settings that a whole map shares."""
+LOOKED_UP_BY = ("arithmetic", "ranking")
+"""Settings that change with them when a map is described anew."""
 REMEDIES = {
     "extractor": "give --extractor {was}",
     "descriptor": "give --descriptor {was}",
     "weights of the extractor": "give the weights that it was made with (--weights)",
     "weights of the descriptor": "give the weights that it was made with (--weights)",
+    "version of the extractor": "use that version of it",
+    "version of the descriptor": "use that version of it",
     "words of places": "use the ebjax and the weights (--weights) that it was made with",
     "image": "give the calibration that it was made with (--camera)",
     "intrinsics": "give the calibration that it was made with (--camera)",
@@ -34,10 +39,24 @@ REMEDIES = {
     "floor view": "look at the same floor (--view, --quad, --metres-per-px)",
 }
 """Of every fact of a map, what makes a run agree with it."""
+DESCRIBED_BY = (
+    *("extractor", "weights of the extractor", "descriptor", "weights of the descriptor"),
+    *("version of the extractor", "version of the descriptor", "words of places"),
+)
+ANEW = "describe the map anew as this run is (--map {path} --redescribe with its --extractor, --descriptor, --weights)"
 
 
 def made_with(config: PipelineConfig, camera: Camera, view: RunView) -> dict[str, Any]:
     """The facts of a map: what its views were seen and described with.
+
+    Raises:
+      ValueError, OSError: as `described_with`.
+    """
+    return described_with(config) | seen_with(camera, view)
+
+
+def described_with(config: PipelineConfig) -> dict[str, Any]:
+    """What views are described with.
 
     Raises:
       ValueError: an unknown descriptor or extractor, or no words or weights of them.
@@ -47,16 +66,25 @@ def made_with(config: PipelineConfig, camera: Camera, view: RunView) -> dict[str
     places = descriptor(config.descriptor, config.weights, config.arithmetic)
     told = [name for name in NAMES if config.descriptor in (name, "joint")]
     words = [fixed_words(name, config.weights if name == "floornet" else None).version for name in told]
-    k = np.asarray(camera.intrinsics, np.float64)
-    height, width = view.size
-    corners = np.array([[0.0, 0], [width - 1, 0], [width - 1, height - 1], [0, height - 1]])
-    on_floor = np.asarray(apply(np.asarray(view.floor_from_view, np.float64), corners))
+    parts = {"extractor": config.extractor, "descriptor": config.descriptor}
+    versions = {f"version of the {what}": version_of(name) for what, name in parts.items() if is_own(name)}
     return {
         "extractor": config.extractor,
         "weights of the extractor": digest_of(features.weights),
         "descriptor": config.descriptor,
         "weights of the descriptor": digest_of(places.weights),
         "words of places": " ".join(words) or "none",
+        **versions,
+    }
+
+
+def seen_with(camera: Camera, view: RunView) -> dict[str, Any]:
+    """What views are seen with."""
+    k = np.asarray(camera.intrinsics, np.float64)
+    height, width = view.size
+    corners = np.array([[0.0, 0], [width - 1, 0], [width - 1, height - 1], [0, height - 1]])
+    on_floor = np.asarray(apply(np.asarray(view.floor_from_view, np.float64), corners))
+    return {
         "image": [camera.width, camera.height],
         "intrinsics": [float(value) for value in (k[0, 0], k[1, 1], k[0, 2], k[1, 2], k[0, 1])],
         "lens": [camera.lens.model, *np.asarray(camera.lens.coefficients, float).tolist()],
@@ -68,17 +96,33 @@ def made_with(config: PipelineConfig, camera: Camera, view: RunView) -> dict[str
 def settings_of(config: PipelineConfig) -> dict[str, Any]:
     """The settings of the engine under the names of their flags; those that the whole map shares are left out."""
     found: dict[str, Any] = {}
+    for flag, name, inner in _flags():
+        value = getattr(config, name)
+        found[flag] = value if inner is None else getattr(value, inner)
+    return found
+
+
+def with_settings(config: PipelineConfig, was: Facts) -> PipelineConfig:
+    """The settings that `settings_of` told, as far as it did, and of the given ones what describes and looks up."""
+    changed: dict[str, Any] = {}
+    for flag, name, inner in _flags():
+        if flag in was and name not in LOOKED_UP_BY:
+            value = was[flag]
+            whole = changed.get(name, getattr(config, name))
+            changed[name] = value if inner is None else dataclasses.replace(whole, **{inner: value})
+    return dataclasses.replace(config, **changed)
+
+
+def _flags() -> Iterator[tuple[str, str, str | None]]:
+    """Of every setting its flag, the field and the one within that."""
     for field in dataclasses.fields(PipelineConfig):
-        value = getattr(config, field.name)
-        if dataclasses.is_dataclass(value):
-            made = field.default_factory
-            assert made is not dataclasses.MISSING
+        made = field.default_factory
+        if made is not dataclasses.MISSING:
             within = "" if field.name == "believe" else f"{field.name}."
             for inner in dataclasses.fields(made()):  # type: ignore[arg-type]
-                found[f"--{within}{inner.name}".replace("_", "-")] = getattr(value, inner.name)
+                yield f"--{within}{inner.name}".replace("_", "-"), field.name, inner.name
         elif field.name not in MADE_BY:
-            found[f"--{field.name}".replace("_", "-")] = value
-    return found
+            yield f"--{field.name}".replace("_", "-"), field.name, None
 
 
 def disagreeing(was: Facts, now: Facts) -> str | None:
@@ -108,6 +152,8 @@ def check_map(path: object, was: Facts, now: Facts) -> tuple[str, ...]:
     if name is not None:
         values = in_words(name, was[name]), in_words(name, now[name])
         remedy = REMEDIES[name].format(was=values[0])
+        if name in DESCRIBED_BY:
+            remedy += f", {ANEW.format(path=path)}"
         raise ValueError(
             f"{path}: was made with {name} {values[0]}, this run has {values[1]}; {remedy}, or keep this run in "
             "another map"

@@ -1,5 +1,6 @@
 """A recorded run that is kept in a map's file as it is driven."""
 
+import weakref
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -73,6 +74,13 @@ class KeptRun:
         ]
         self._store.finished(result, rest)
         self._say(f"{self._path}: holds the run as session {self._store.current}")
+
+    def read_on(self, run: Run) -> None:
+        """Lets others write into the map; what the run reads of it can be read as long as the run is there."""
+        assert self._store is not None
+        self._store.read_on()
+        weakref.finalize(run, self._store.close)
+        self._store = None
 
     def __enter__(self) -> "KeptRun":
         return self

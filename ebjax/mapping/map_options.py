@@ -6,6 +6,8 @@ from pathlib import Path
 from ebjax.mapping.contents import contents_lines, open_map_to_read, read_contents
 from ebjax.mapping.export import export_map
 from ebjax.mapping.maintain import drop_views, forget, repaired
+from ebjax.mapping.redescribe import redescribe
+from ebjax.slam.config import PipelineConfig
 
 
 @dataclasses.dataclass(frozen=True)
@@ -27,6 +29,10 @@ class MapOptions:
     """Without a LOG: removes the session of this number from --map."""
     views: bool = True
     """--no-views, without a LOG: drops the colour views of finished sessions from --map, which then is smaller."""
+    redescribe: bool = False
+    """Without a LOG: describes every keyframe of --map anew from its floor view, with this --extractor, --descriptor,
+    --weights and --ranking, and looks for its closures anew, into NAME.redescribed.ebmap beside it; --map stays as it
+    is. For a map that was made with others. Stopped at any moment, the same command goes on from there."""
     repair: bool = False
     """Without a LOG: saves what can be read of a damaged --map as NAME.repaired.ebmap beside it."""
 
@@ -36,6 +42,7 @@ class MapOptions:
             "--export": self.export,
             "--forget": self.forget is not None,
             "--no-views": not self.views,
+            "--redescribe": self.redescribe,
             "--repair": self.repair,
         }
         return [flag for flag, given in ways.items() if given]
@@ -62,7 +69,7 @@ def check_map_options(options: MapOptions, log: Path | None) -> None:
         raise ValueError(f"{asked[0]} is for the map alone: leave {log} out, or run it first without {asked[0]}")
 
 
-def look_after(path: Path, options: MapOptions, out: Path, metres_per_px: float) -> list[str]:
+def look_after(path: Path, options: MapOptions, out: Path, metres_per_px: float, config: PipelineConfig) -> list[str]:
     """Does with a map alone what the options ask for; returns what was done, a line each.
 
     Args:
@@ -70,6 +77,7 @@ def look_after(path: Path, options: MapOptions, out: Path, metres_per_px: float)
       options: see there.
       out: the folder that --export writes.
       metres_per_px: of the exported floor map.
+      config: what --redescribe describes with.
 
     Raises:
       ValueError, OSError: no such map, a damaged one, no such session, or another process writes to it.
@@ -77,6 +85,8 @@ def look_after(path: Path, options: MapOptions, out: Path, metres_per_px: float)
     if options.forget is not None or not options.views:
         open_map_to_read(path).close()
         return drop_views(path) if options.forget is None else forget(path, options.forget)
+    if options.redescribe:
+        return redescribe(path, config)
     if options.repair:
         return repaired(path)
     with open_map_to_read(path) as kept:

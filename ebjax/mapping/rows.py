@@ -46,13 +46,13 @@ def step_row(number: int, before: int, pose_before: Float[np.ndarray, "3"], kept
 
 def closure_rows(number: int, kept: Arrays) -> list[EdgeRow]:
     """A closure for every candidate of a keyframe, as far as it is known when that comes."""
-    told = unpacked_pairs(number, kept)
+    told = unpacked_pairs(kept)
     rows: list[EdgeRow] = []
     for (j, opposing), distance in zip(kept["candidates"].tolist(), kept["candidates.distance"].tolist(), strict=True):
-        inliers, matches, settled = told[number, j, bool(opposing)]
-        (pose,), (spread,), _ = more_certain(stacked([settled]), False)
+        pair = told[j, bool(opposing)]
+        (pose,), (spread,), _ = more_certain(stacked([pair.settled]), False)
         edge, ends = EDGES * number + 1 + len(rows), (number, j, bool(opposing))
-        rows.append(EdgeRow(edge, CLOSURE, *ends, False, UNDECIDED, pose, spread, inliers, matches, distance))
+        rows.append(EdgeRow(edge, CLOSURE, *ends, False, UNDECIDED, pose, spread, pair.inliers, pair.total, distance))
     return rows
 
 

@@ -3,21 +3,18 @@
 Every function takes one map; `jax.vmap` it over a batch.
 """
 
-import dataclasses
-import typing
 from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from ebjax.geometry.pytree import pytree
 from ebjax.geometry.warp import sample_bilinear
 from ebjax.models.layers import normalise
 
 
-@typing.no_type_check
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
+@pytree
 class Detections:
     """Keypoints of one image, strongest first; rows that are not `valid` come last and hold anything."""
 

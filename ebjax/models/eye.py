@@ -1,8 +1,6 @@
 """floornet as places and local features look through it: one pass of the network serves both."""
 
-import dataclasses
 import functools
-import typing
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,13 +10,12 @@ import jax.numpy as jnp
 from flax import nnx
 from jaxtyping import Array, ArrayLike, Bool, Float
 
+from ebjax.geometry.pytree import pytree
 from ebjax.models.floornet import FloorMaps, FloorNet, fitted, open_floornet
 from ebjax.models.luma import luma
 
 
-@typing.no_type_check
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
+@pytree
 class Looked:
     """The maps of one view, and what of it was shown to the network, which may have stretched it to its own size."""
 

@@ -12,8 +12,6 @@ the view, in reversed order, the odd half of the channels with the other sign (`
 Strides keep the grid symmetric about the centre: kernels of even size over maps of even size.
 """
 
-import dataclasses
-import typing
 from pathlib import Path
 
 import jax
@@ -23,6 +21,7 @@ from flax import nnx
 from jax import lax
 from jaxtyping import Array, Float
 
+from ebjax.geometry.pytree import pytree
 from ebjax.models.layers import Buffer, normalise, relu
 from ebjax.models.trainable import convolve
 from ebjax.models.weights import load_into, load_weights
@@ -40,9 +39,7 @@ TOP = ((96, 4, 2), (128, 3, 1), (128, 3, 1))
 """Channels, kernel size and stride of the layers up to stride 4, and on to stride 8."""
 
 
-@typing.no_type_check
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
+@pytree
 class FloorMaps:
     """What the network says of views."""
 

@@ -6,12 +6,12 @@ No orientation is estimated: floor views are aligned by R_pi, and upright descri
 """
 
 import dataclasses
-import typing
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+
+from ebjax.geometry.pytree import pytree
 
 ORIENTATIONS = 8
 BINS = 4
@@ -19,9 +19,7 @@ DIMENSION = BINS * BINS * ORIENTATIONS
 ROOT_FLOOR = 1e-12
 
 
-@typing.no_type_check
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
+@pytree
 class OrientationMap:
     """Gradient orientations pooled by a triangle of half-width `bin_px` on a grid of `stride_px`, bin_px = 3 stride_px.
 

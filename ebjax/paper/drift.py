@@ -19,8 +19,8 @@ from ebjax.paper.run import Run
 from ebjax.posegraph import init
 from ebjax.posegraph.g2o import read_g2o
 from ebjax.posegraph.lm import solve
-from ebjax.slam.believe import Measured
 from ebjax.slam.config import PipelineConfig
+from ebjax.slam.measured import Measured
 from ebjax.slam.pipeline import run as run_pipeline
 from ebjax.slam.recording import Recording
 from ebjax.slam.run import Run as Result
@@ -30,6 +30,7 @@ ODOMETRY, OFF, SAME, OURS = "odometry", "loop closures off", "same direction onl
 ROWS = (ODOMETRY, OFF, SAME, OURS)
 FALSE_M, FALSE_DEG = 0.3, 5.0
 """A kept closure farther off the truth than either is false."""
+REAL_D5 = "D5 (real graph)"
 ALIGN_FIRST = 70
 """Poses of D5 that the authors align by."""
 

@@ -179,7 +179,7 @@ class Experiment:
                 lambda: drift.measure_d5(d5, self.pipeline),
             )
             for row, values in cell.items():
-                self.add("table 4", row, "D5 (real graph)", values)
+                self.add("table 4", row, drift.REAL_D5, values)
 
     def draw(self, names: tuple[str, ...], plans: tuple[str, ...]) -> list[tuple[str, Path]]:
         """Figures 4 to 6 and the curves: caption and file."""

@@ -1,15 +1,15 @@
 """paper.md and tables.json: what was measured, beside what the paper says."""
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from ebjax.io.atomic import whole_file
-from ebjax.paper import drift, published
-from ebjax.paper.retrieval import TURNED
+from ebjax.paper import published
 
 DASH = "–"
+Rows = dict[str, list[str]]
 RECALLS = {
     "paper_recall": "paper_recall: within a fifteenth of the whole path, %",
     "one_way_recall": "within a fifteenth of one way, %",
@@ -43,25 +43,38 @@ def reason(why: ValueError | str) -> str:
     return f"{text} (python -m ebjax.models list)" if text.endswith("needs weights") else text
 
 
-def recall_tables(table: Mapping[str, Mapping[str, Mapping[str, Any]]], sets: Sequence[str]) -> Iterator[str]:
-    """One table a metric; by chance: what a blind guess among the frames of the way out would get."""
+def beside(quoted: published.Table, columns: Sequence[str], text_of: Callable[[float | int], str]) -> Rows:
+    """The paper's rows under ours; none where it has none of the columns."""
+    return {
+        f"the paper's {row}": [text_of(cells[name]) if name in cells else DASH for name in columns]
+        for row, cells in quoted.items()
+        if any(name in cells for name in columns)
+    }
+
+
+def recall_tables(
+    table: Mapping[str, Mapping[str, Mapping[str, Any]]], sets: Sequence[str], quoted: published.Table
+) -> Iterator[str]:
+    """One table a metric, the paper's own under its metric; by chance: a blind guess among the way out's frames."""
     for metric, title in RECALLS.items():
         yield f"**{title}**"
         yield ""
-        rows = {}
-        for row, cells in table.items():
-            quoted = published.NETVLAD_BEST if metric == "paper_recall" and row == f"netvlad: {TURNED}" else DASH
-            rows[row] = [*(percent(cells[name][metric]) if name in cells else DASH for name in sets), quoted]
+        rows: Rows = {
+            row: [percent(cells[name][metric]) if name in cells else DASH for name in sets]
+            for row, cells in table.items()
+        }
+        if metric == "paper_recall":
+            rows |= beside(quoted, sets, lambda value: f"{value:.1f}")
         if metric != "p100_1m":
             chance = next(iter(table.values()))
-            rows["by chance"] = [*(percent(chance[name][f"{metric}_by_chance"]) for name in sets), DASH]
-            rows["queries"] = [*(str(chance[name][f"{metric}_queries"]) for name in sets), DASH]
-            rows["radius, m"] = [*(f"{chance[name][f'{metric}_radius_m']:.2f}" for name in sets), DASH]
-        yield from markdown_table(["", *sets, "paper"], rows)
+            rows["by chance"] = [percent(chance[name][f"{metric}_by_chance"]) for name in sets]
+            rows["queries"] = [str(chance[name][f"{metric}_queries"]) for name in sets]
+            rows["radius, m"] = [f"{chance[name][f'{metric}_radius_m']:.2f}" for name in sets]
+        yield from markdown_table(["", *sets], rows)
 
 
 def pair_table(table: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Iterator[str]:
-    """Mean inliers / matches, and pairs whose motion is right."""
+    """Mean inliers / matches, and pairs whose motion is right; the paper's features too that have no weights here."""
     sets = list(dict.fromkeys(name for cells in table.values() for name in cells))
 
     def text_of(cell: Mapping[str, Any] | None) -> str:
@@ -69,12 +82,16 @@ def pair_table(table: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Iterator
             return DASH
         return f"{cell['inliers']:.0f} / {cell['total']:.0f}, {cell['right']} of {cell['pairs']}"
 
-    rows = {row: [*(text_of(cells.get(name)) for name in sets), DASH] for row, cells in table.items()}
-    yield from markdown_table(["", *sets, "paper"], rows)
+    def quoted(row: str) -> str:
+        return " / ".join(f"{value:g}" for value in published.INLIERS[row]) if row in published.INLIERS else DASH
+
+    names = dict.fromkeys((*table, *published.INLIERS))
+    rows = {row: [*(text_of(table.get(row, {}).get(name)) for name in sets), quoted(row)] for row in names}
+    yield from markdown_table(["", *sets, "the paper's, mean of its sets"], rows)
 
 
 def drift_table(table: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Iterator[str]:
-    """ATE rmse, its share of odometry's, closures and how many are false."""
+    """ATE rmse, its share of odometry's, closures and how many are false; the paper's ATE under it."""
     sets = list(dict.fromkeys(name for cells in table.values() for name in cells))
 
     def text_of(cell: Mapping[str, Any] | None) -> str:
@@ -86,13 +103,8 @@ def drift_table(table: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Iterato
             text += f", {cell['false_closures']} false" if "false_closures" in cell else ""
         return text
 
-    quoted = {
-        drift.OURS: f"{published.ATE_SHARE}; D5 mean {published.EARLY_BIRD_D5_MEAN_M} m",
-        "published Early Bird": f"D5 mean {published.EARLY_BIRD_D5_MEAN_M} m",
-        "published RTAB-Map": f"D5 mean {published.RTABMAP_D5_MEAN_M} m",
-    }
-    rows = {row: [*(text_of(cells.get(n)) for n in sets), quoted.get(row, DASH)] for row, cells in table.items()}
-    yield from markdown_table(["", *sets, "paper"], rows)
+    rows: Rows = {row: [text_of(cells.get(name)) for name in sets] for row, cells in table.items()}
+    yield from markdown_table(["", *sets], rows | beside(published.ATE_M, sets, lambda value: f"{value:g} m"))
     real = {row: cell for row, cells in table.items() for cell in cells.values() if "ate_mean_m" in cell}
     if real:
         yield "D5 as the paper counts it (mean, row by row, aligned by the first 70 poses; the rows are out of step): "

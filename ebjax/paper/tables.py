@@ -85,14 +85,15 @@ def _sections(
             f"{quick}Seed {experiment.seed}. Worlds are rendered from {', '.join((*sets, *plans))}.yaml; tables.json "
             "has every setting. Queries are the frames of the way back, references those of the way out.",
             "Truth is the floor: robots that face each other, the centres of whose floor views lie within the radius.",
-            "Quoted numbers of the paper: " + " ".join(published.SOURCES),
+            published.SOURCE,
             "",
         ],
     )
     if sets:
-        yield "## Table 1: raw images, floor views, and R_pi", [*page.recall_tables(tables["table 1"], sets)]
+        title = "## Table 1: raw images, floor views, and R_pi"
+        yield title, [*page.recall_tables(tables["table 1"], sets, published.RECALL_OF_INPUTS)]
         title = f"## Table 2: descriptors, floor + pi (joint: {BOTH})"
-        yield title, [*page.recall_tables(tables["table 2"], sets)]
+        yield title, [*page.recall_tables(tables["table 2"], sets, published.RECALL_OF_DESCRIPTORS)]
     if sets or real is not None:
         absent = [] if real is not None else ["No real pairs: give --data, or set EBJAX_DATA.", ""]
         lead = ["Mean inliers / matches, and pairs whose motion is right.", ""]

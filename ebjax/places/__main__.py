@@ -62,7 +62,8 @@ class PlacesConfig:
     """Look for places seen from the same and the opposite side, from the opposite side only, or from the same only."""
     descriptor: str = "floornet"
     """Global descriptor: floornet, rootsift-vlad, hog, joint (floor and whole image), or of a network whose weights are
-    not ours netvlad, superpoint, resnet50 or vgg19 (flattened map), resnet50-pooled, vgg19-pooled."""
+    not ours netvlad, superpoint, resnet50 or vgg19 (flattened map), resnet50-pooled, vgg19-pooled; or your own,
+    package.module:NAME, whose code is then run."""
     weights: Path | None = None
     """Of a network: its .safetensors file, or a folder of them; None: $EBJAX_WEIGHTS or ~/.cache/ebjax/weights."""
     arithmetic: Arithmetic = "exact"

@@ -6,22 +6,18 @@ over the cells x that both views see, for all shifts s at once by FFT; B is the 
 The best shift is a first measurement of the loop. Both directions share a spectrum: turning by pi conjugates it.
 """
 
-import dataclasses
-import typing
-
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Complex, Float, Int
 
+from ebjax.geometry.pytree import pytree
 from ebjax.places.descriptor_map import MapSpace
 
 OVERLAP_POWER = 0.5
 MIN_OVERLAP = 0.15
 
 
-@typing.no_type_check
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
+@pytree
 class Spectrum:
     """The Fourier transform of a map, zero-padded to twice its size, and its energy in the overlap for every shift.
 

@@ -1,20 +1,26 @@
-"""The global descriptors that can be selected by name. A new one is one file and one line here.
+"""The global descriptors that can be selected by name. A new one is one file and one line here, or one of your own.
 
 A descriptor works in two steps. `look` keeps of one view what it is told apart by, and knows no other view. `unite`
 learns from all views of a run together what they have in common, and gives every view a unit vector as it is and one
 as if it were turned by pi (R_pi); views are compared by the cosine of these.
+
+One of your own is named `my_package.mine:NAME`, from anywhere; its code is then run. The least it needs is a `look`
+that gives "vector" and "turned", float32; `ebjax.testing.check_descriptor` says whether it keeps to all of this.
 """
 
 import dataclasses
 import functools
-import importlib
 import typing
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any, Protocol
 
-from jaxtyping import Array, Float
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Bool, Float, UInt8
 
 from ebjax.models.fast import Arithmetic
+from ebjax.parts import find
 from ebjax.places.descriptor_map import MapSpace
 
 DESCRIPTORS = {
@@ -29,7 +35,7 @@ DESCRIPTORS = {
     "vgg19": "ebjax.places.backbones:vgg19",
     "vgg19-pooled": "ebjax.places.backbones:vgg19_pooled",
 }
-"""Each is a `Descriptor` or, for a network, a function of its weights file and its arithmetic that gives one."""
+"""Each is a `Descriptor` or, for a network, what makes one of its weights file and its arithmetic (`Make`)."""
 
 
 @typing.no_type_check
@@ -47,44 +53,97 @@ class Places:
     share: float | int = 1
 
 
+@typing.runtime_checkable
+class Look(Protocol):
+    """What a descriptor keeps of one view."""
+
+    def __call__(
+        self, view: Float[Array, "H W 3"], seen: Bool[Array, "H W"], image: UInt8[ArrayLike, "I J 3"], /
+    ) -> Mapping[str, Array]:
+        """Arrays by name, of one shape and dtype for all views of one size.
+
+        Args:
+          view: of the floor, RGB in [0, 1].
+          seen: what of it is floor; the rest must not matter.
+          image: the whole image that the view was taken from.
+        """
+        ...
+
+
+@typing.runtime_checkable
+class Unite(Protocol):
+    """What makes vectors of all views of a run."""
+
+    def __call__(self, kept: Mapping[str, np.ndarray], /, *, seed: int) -> Places:
+        """Unit vectors of every view, as it is and turned by pi.
+
+        Args:
+          kept: what `look` gave, stacked over the views.
+          seed: of anything random.
+        """
+        ...
+
+
+@typing.runtime_checkable
+class Make(Protocol):
+    """What makes a descriptor that reads a network."""
+
+    def __call__(self, weights: Path | None, arithmetic: Arithmetic, /) -> "Descriptor":
+        """The descriptor, with weights from a file, None: from the usual place; see `ebjax.models.locate`."""
+        ...
+
+
+def unite_vectors(kept: Mapping[str, np.ndarray], /, *, seed: int = 0) -> Places:
+    """The vectors that `look` gave, "vector" of the view as it is and "turned"; nothing is learned from the run."""
+    return Places(jnp.stack([jnp.asarray(kept["vector"]), jnp.asarray(kept["turned"])], -1))
+
+
 @dataclasses.dataclass(frozen=True)
 class Descriptor:
     """A global descriptor.
 
     Attributes:
-      look: (view "H W 3", RGB in [0, 1]; seen "H W" bool, what of it is floor; image "I J 3" uint8, the whole image the
-        view was taken from) -> arrays by name, of one shape for all views of one size.
-      unite: (those arrays, stacked over the views of a run; seed=int) -> Places.
+      look: see `Look`.
+      unite: see `Unite`; as it is, `look` gives "vector" and "turned".
       jitted: whether `look` may be called inside a jitted program; else it is called from the host.
-      has_maps: whether `unite` gives maps that can be correlated.
+      has_maps: whether `unite` gives maps that can be correlated; the engine correlates those of ours only.
+      whole_image: whether `look` uses the whole image too, which a map does not keep.
       side_px: the longer side that a view should have, where that is free to choose.
       weights: the file they were read from.
     """
 
-    look: Callable[..., Mapping[str, Array]]
-    unite: Callable[..., Places]
+    look: Look
+    unite: Unite = unite_vectors
     jitted: bool = True
     has_maps: bool = False
+    whole_image: bool = False
     side_px: int = 200
     weights: Path | None = None
 
 
-@functools.cache
 def descriptor(name: str, weights: Path | None = None, arithmetic: Arithmetic = "exact") -> Descriptor:
     """Looks a descriptor up and imports it.
 
     Args:
-      name: one of DESCRIPTORS.
+      name: one of DESCRIPTORS, or `my_package.mine:NAME`: a `Descriptor`, or what makes one (`Make`).
       weights: of a network: a .safetensors file, or a folder that holds NAME.safetensors; None looks in the usual
         place, see `ebjax.models.locate`. The others need none.
       arithmetic: of a network, see there.
 
     Raises:
-      ValueError: no such name; a network without weights, or with another's.
+      ValueError: no such name, or no descriptor; a network without weights, or with another's.
       OSError: the weights cannot be read.
     """
-    if name not in DESCRIPTORS:
-        raise ValueError(f"descriptor {name!r} is unknown; choose one of {', '.join(DESCRIPTORS)}")
-    module, attribute = DESCRIPTORS[name].split(":")
-    found = getattr(importlib.import_module(module), attribute)
-    return found if isinstance(found, Descriptor) else found(weights, arithmetic)
+    found = find("descriptor", name, DESCRIPTORS)
+    made = _made(found, weights, arithmetic) if callable(found) else found
+    if not isinstance(made, Descriptor):
+        raise ValueError(
+            f"descriptor {name!r} is a {type(made).__name__}; give an ebjax.Descriptor, or a function of (weights, "
+            "arithmetic) that returns one"
+        )
+    return made
+
+
+@functools.lru_cache(maxsize=32)
+def _made(make: Callable[[Path | None, Arithmetic], Any], weights: Path | None, arithmetic: Arithmetic) -> Any:
+    return make(weights, arithmetic)

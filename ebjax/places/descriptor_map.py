@@ -6,8 +6,6 @@ Every basis vector is even or odd under R_pi, so the map of the view turned by p
 channel.
 """
 
-import dataclasses
-import typing
 from functools import partial
 
 import jax
@@ -15,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from ebjax.geometry.pytree import pytree
 from ebjax.models.rootsift import DIMENSION, ROOT_FLOOR, describe, pool_orientations, rotate_pi_descriptor
 
 STRIDE_PX = 8
@@ -22,9 +21,7 @@ BIN_PX = (6.0, 12.0)
 MIN_SUPPORT = 0.8
 
 
-@typing.no_type_check
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
+@pytree
 class MapSpace:
     """The run's components: mean of each cell and scale, basis, parity of each channel under R_pi, cells that count."""
 

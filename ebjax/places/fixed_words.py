@@ -7,14 +7,13 @@ the file says which. `python -m ebjax.train --config configs/train/words.yaml` m
 
 import dataclasses
 import hashlib
-import typing
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 from jaxtyping import Array, Float
 
+from ebjax.geometry.pytree import pytree
 from ebjax.models.eye import open_eye
 from ebjax.models.weights import load_metadata, load_weights, save_weights
 
@@ -26,9 +25,7 @@ NO_WEIGHTS = "none"
 ARRAYS = ("mean", "basis", "parity", "words", "alpha")
 
 
-@typing.no_type_check
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
+@pytree
 class FixedWords:
     """What turns the map of a view into its place.
 

@@ -44,7 +44,7 @@ def joint(weights: Path | None, arithmetic: Arithmetic) -> Descriptor:
         parts = {"floor": floor.look(view, seen, image), "whole": _look_at_whole(jnp.asarray(image))}
         return {f"{part}_{name}": array for part, arrays in parts.items() for name, array in arrays.items()}
 
-    return Descriptor(look, unite, jitted=False, has_maps=True, weights=floor.weights)
+    return Descriptor(look, unite, jitted=False, has_maps=True, whole_image=True, weights=floor.weights)
 
 
 def distinctness(vectors: Float[Array, "N V"]) -> float:

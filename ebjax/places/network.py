@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float
 
 from ebjax.models.fast import Arithmetic
 from ebjax.models.locate import open_network
-from ebjax.places.descriptor import Descriptor, Places
+from ebjax.places.descriptor import Descriptor, Unite
 from ebjax.places.view import filled, resized
 
 Read = Callable[[Any, Float[Array, "2 H W 3"], Float[Array, "2 H W"]], Mapping[str, Array]]
@@ -27,7 +27,7 @@ def network_descriptor(
     weights: Path | None,
     arithmetic: Arithmetic,
     read: Read,
-    unite: Callable[..., Places],
+    unite: Unite,
     *,
     side_px: int,
     accepted: tuple[str, ...] = (),

@@ -6,19 +6,15 @@ Sums run over cells x that B sees and A sees at x + s; overlap is their number o
 sees more. So the score of two maps is the same in whatever run they stand.
 """
 
-import dataclasses
-import typing
-
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Complex, Float, Int, Int8, UInt8
 
+from ebjax.geometry.pytree import pytree
 from ebjax.places.correlation import MIN_OVERLAP, OVERLAP_POWER
 
 
-@typing.no_type_check
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
+@pytree
 class Spectra:
     """Maps, zero-padded to twice their size and transformed: what is correlated, their energy, what they see.
 

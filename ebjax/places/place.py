@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int8, UInt8
 
+from ebjax.parts import is_own
 from ebjax.places.descriptor import DESCRIPTORS
 from ebjax.places.fixed_words import FixedWords, fixed_words
 from ebjax.places.hog import rotate_pi_blocks
@@ -45,12 +46,14 @@ Kept = Mapping[str, np.ndarray]
 
 @functools.cache
 def placing(name: str, weights: Path | None = None) -> Callable[[Kept], Place]:
-    """What makes a place of what the descriptor of this name keeps of a view.
+    """What makes a place of what the descriptor of this name keeps of a view: words of ours, or vectors of its own.
 
     Raises:
       ValueError: no such descriptor, or no place can be made of one view; as `fixed_words`.
       OSError: as `fixed_words`.
     """
+    if is_own(name):
+        return functools.partial(_vectors, name)
     if name not in DESCRIPTORS or name in WITHOUT:
         able = ", ".join(one for one in DESCRIPTORS if one not in WITHOUT)
         raise ValueError(f"descriptor {name!r} makes no place of one view; these do: {able}")
@@ -124,6 +127,16 @@ def _describe(
     shape = cells.shape
     vector = aggregate(rows, share, vocabulary.centres)
     return vector, small.reshape(*shape, -1), weight.astype(jnp.uint8).reshape(shape), scale
+
+
+def _vectors(name: str, kept: Kept) -> Place:
+    if missing := [key for key in ("vector", "turned") if key not in kept]:
+        raise ValueError(
+            f"descriptor {name!r}: look gives {', '.join(kept)} and no {missing[0]!r}; give 'vector' and 'turned', of "
+            "the view as it is and turned by pi: a map knows places one by one"
+        )
+    vector, other = (quantised(np.asarray(kept[key], np.float32).reshape(-1)) for key in ("vector", "turned"))
+    return Place(vector, other)
 
 
 def _joint(kept: Kept, words: tuple[FixedWords, FixedWords]) -> Place:

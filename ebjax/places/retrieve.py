@@ -4,23 +4,20 @@ The shortlist is by cosine of global descriptors, the ranking by shift-maximised
 one jitted program over all queries. Scores come from images alone; odometry only says which pairs may be compared.
 """
 
-import dataclasses
-import typing
 from functools import partial
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from ebjax.geometry.pytree import pytree
 from ebjax.places.correlation import correlate, overlap_weight, spectrum
 from ebjax.places.descriptor_map import MapSpace
 
 BLOCK = 512
 
 
-@typing.no_type_check
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
+@pytree
 class LoopCandidates:
     """Ranked candidates of every query i: view j, direction, distance (1 - score), shift of the maps in cells."""
 

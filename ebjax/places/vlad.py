@@ -4,22 +4,20 @@ Arandjelovic et al., "NetVLAD", CVPR 2016, equations 1 to 4: soft assignment to 
 intra-normalisation, unit length.
 """
 
-import dataclasses
 import math
-import typing
 from functools import partial
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray, UInt32
 
+from ebjax.geometry.pytree import pytree
+
 SECOND_SHARE = 0.01
 """Of the second nearest centre against the nearest, on average: how soft the assignment is (NetVLAD's start)."""
 
 
-@typing.no_type_check
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
+@pytree
 class Vocabulary:
     """Centres c_k, and alpha of the soft assignment exp(-alpha |x - c_k|^2): large is hard, the VLAD of Jegou 2010."""
 

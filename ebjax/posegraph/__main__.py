@@ -20,10 +20,9 @@ class Config:
     """The graph: g2o or TORO, 2D or 3D, with landmarks and priors or without; vertices optional."""
     out: Path | None = None
     """Where to write the optimised graph, as g2o."""
-    robust: Literal[
-        "cauchy", "none", "huber", "geman-mcclure", "dcs", "tls", "gnc-tls", "gnc-gm", "pcm", "consensus"
-    ] = "cauchy"
-    """Robust kernel; none is least squares. gnc-*, pcm and consensus survive many loops being false."""
+    robust: str = "cauchy"
+    """Robust kernel: cauchy, none (least squares), huber, geman-mcclure, dcs, tls, or gnc-tls, gnc-gm, pcm and
+    consensus, which survive many loops being false; or your own, package.module:NAME, whose code is then run."""
     width: float | None = None
     """Of the kernel, in standard deviations of a residual; None: 1, for tls, gnc-*, consensus the 99.9 % point."""
     robust_on: Literal["all", "loops"] = "all"
@@ -77,14 +76,14 @@ def bench(config: BenchConfig) -> None:
     from ebjax.io.atomic import whole_file
     from ebjax.posegraph import bench as tables
     from ebjax.posegraph.falseloops import false_loops
-    from ebjax.posegraph.robust import check_kernel
+    from ebjax.posegraph.robust import kernel_of
 
     jax.config.update("jax_enable_compilation_cache", False)  # seconds of compilation are part of the tables
 
     if config.turns < 1 or config.seeds < 1 or config.batch < 0 or min(config.sizes, default=1000) < 100:
         raise ValueError("--turns and --seeds must be positive, --batch not negative, --sizes at least 100")
     for kernel in config.kernels:
-        check_kernel(kernel)
+        kernel_of(kernel)
     paths, turns = list(config.graphs), config.turns
     sections = {
         "Graphs": tables.graphs(paths, config.solver, turns),

@@ -20,11 +20,12 @@ from ebjax.posegraph.gnc import GRADUATED, graduate
 from ebjax.posegraph.graph import PoseGraph
 from ebjax.posegraph.levenberg import minimise
 from ebjax.posegraph.linear import linear_solve
+from ebjax.posegraph.robust import Kernel
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0, 1, 2, 3, 4))
 def optimum(
-    group: str, kernel: str, max_steps: int, rtol: float, report: Callable | None, params: tuple, rest: tuple
+    group: str, kernel: Kernel, max_steps: int, rtol: float, report: Callable | None, params: tuple, rest: tuple
 ) -> tuple:
     """The fields of `minimise`'s solution, differentiable in params = (fixed poses, measured, information, width).
 

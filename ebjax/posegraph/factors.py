@@ -17,7 +17,7 @@ from ebjax.geometry import se3
 from ebjax.geometry.lie import GROUPS, Group
 from ebjax.geometry.small_angle import small_matmul, stack_rows
 from ebjax.posegraph.graph import PoseGraph
-from ebjax.posegraph.robust import Width, rho, weight
+from ebjax.posegraph.robust import Kernel, Width, rho, weight
 
 
 class EdgeBlocks(NamedTuple):
@@ -96,7 +96,7 @@ def squared_residuals(graph: PoseGraph, poses: Float[Array, "N P"]) -> Float[Arr
     return _quadratic(r, jnp.asarray(graph.information))
 
 
-def edge_costs(graph: PoseGraph, poses: Float[Array, "N P"], kernel: str, width: Width) -> Float[Array, " E"]:
+def edge_costs(graph: PoseGraph, poses: Float[Array, "N P"], kernel: Kernel, width: Width) -> Float[Array, " E"]:
     """Cost rho(s) of robust edges, s of the others, s = squared residual; the sum is the cost `solve` reports."""
     s = squared_residuals(graph, poses)
     return jnp.where(graph.robust, rho(kernel, s, width), s)
@@ -126,7 +126,7 @@ def _edge_weight(graph, s, kernel, width):
 def gauss_newton_blocks(
     graph: PoseGraph,
     poses: Float[Array, "N P"],
-    kernel: str,
+    kernel: Kernel,
     width: Width,
     bent: Bool[Array, ""] | None = None,
 ) -> EdgeBlocks:
@@ -177,7 +177,7 @@ class Sensitivity(NamedTuple):
 
 
 def exact_blocks(
-    graph: PoseGraph, poses: Float[Array, "N P"], kernel: str, width: Width
+    graph: PoseGraph, poses: Float[Array, "N P"], kernel: Kernel, width: Width
 ) -> tuple[EdgeBlocks, Sensitivity]:
     """Blocks of the true Hessian of half the cost, the curvature of the kernel and of the residual included.
 
@@ -213,7 +213,7 @@ def exact_blocks(
 def gradient_change(
     graph: PoseGraph,
     poses: Float[Array, "N P"],
-    kernel: str,
+    kernel: Kernel,
     width: Width,
     at: Sensitivity,
     change: Sequence[Array | None],

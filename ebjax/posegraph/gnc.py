@@ -18,7 +18,7 @@ from ebjax.posegraph.factors import squared_residuals
 from ebjax.posegraph.graph import PoseGraph
 from ebjax.posegraph.levenberg import Solution, minimise
 from ebjax.posegraph.linear import Structure
-from ebjax.posegraph.robust import Graduated, chi_square_999, rho
+from ebjax.posegraph.robust import Graduated, Kernel, chi_square_999, rho
 
 GRADUATED = ("gnc-tls", "gnc-gm", "consensus")
 _STEPS = 4  # at one softness
@@ -63,7 +63,7 @@ class Course(NamedTuple):
 def graduate(
     graph: PoseGraph,
     structure: Structure,
-    kernel: str,
+    kernel: Kernel,
     width: Float[Array, ""] | Float[Array, " E"],
     first: Float[Array, " E"] | None,
     max_steps: int,
@@ -101,7 +101,7 @@ def begin(
     max_steps: int | Int[Array, ""],
     rtol: float | Float[Array, ""],
     *,
-    kernel: str,
+    kernel: Kernel,
 ) -> tuple[Course, Stage]:
     """The course, and the first stage of it; the squared residuals are those at `start`."""
     final = jnp.broadcast_to(jnp.asarray(width, start.dtype), jnp.shape(graph.robust))

@@ -24,7 +24,7 @@ from ebjax.posegraph.assembly import System, assemble, damped
 from ebjax.posegraph.factors import edge_costs, gauss_newton_blocks, squared_residuals
 from ebjax.posegraph.graph import PoseGraph
 from ebjax.posegraph.linear import Structure, linear_solve
-from ebjax.posegraph.robust import Width, rho
+from ebjax.posegraph.robust import Kernel, Width, rho
 
 STATUS = ("converged", "steps used up", "stalled at the largest damping", "not finite")
 _RUNNING = 1
@@ -92,7 +92,7 @@ class Levenberg(optx.AbstractLeastSquaresSolver):
     structure: Structure
     width: Width
     group: str = eqx.field(static=True)
-    kernel: str = eqx.field(static=True)
+    kernel: Kernel = eqx.field(static=True)
     report: Any = eqx.field(static=True)
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags):
@@ -216,7 +216,7 @@ def moved(
 def levenberg(
     graph: PoseGraph,
     structure: Structure,
-    kernel: str,
+    kernel: Kernel,
     width: Width,
     max_steps: int | Int[Array | np.ndarray, ""],
     rtol: float | Float[Array | np.ndarray, ""],
@@ -230,7 +230,7 @@ def levenberg(
 def minimise(
     graph: PoseGraph,
     structure: Structure,
-    kernel: str,
+    kernel: Kernel,
     width: Width,
     max_steps: int | Int[Array, ""],
     rtol: float | Float[Array, ""],

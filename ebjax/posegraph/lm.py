@@ -17,13 +17,13 @@ from ebjax.posegraph.consensus import RULES, believed
 from ebjax.posegraph.graph import PoseGraph, check
 from ebjax.posegraph.levenberg import Solution
 from ebjax.posegraph.linear import Structure, analyse
-from ebjax.posegraph.robust import check_kernel, default_width, weight
+from ebjax.posegraph.robust import Kernel, default_width, kernel_of, weight
 
 
 def solve(
     graph: PoseGraph,
     *,
-    kernel: str = "cauchy",
+    kernel: Kernel = "cauchy",
     width: float | Float[Array, ""] | Float[Array, " E"] | Float[np.ndarray, " E"] | None = None,
     max_steps: int = 200,
     rtol: float = 1e-9,
@@ -43,7 +43,8 @@ def solve(
       kernel: "none", "cauchy", "huber", "geman-mcclure", "dcs", "tls"; graduated (`ebjax.posegraph.gnc`): "gnc-tls",
         "gnc-gm"; or a choice of loops first (`ebjax.posegraph.consensus`, not under jit), the edges between successive
         rows being believed: "pcm" is Cauchy on the largest consistent set, "consensus" is least squares where that fits
-        all loops, else gnc-tls on the loops that others confirm, then tls on all from there.
+        all loops, else gnc-tls on the loops that others confirm, then tls on all from there. One of your own is a
+        function rho(s, width^2) of JAX arrays, or `my_package.mine:NAME` (`ebjax.posegraph.robust`).
       width: of the kernel, in standard deviations, one for all edges or one per edge; None is 1, and for the kernels
         that cut off the root of the 99.9 % point of chi-square with as many degrees of freedom as the edge has numbers.
       max_steps: steps tried at most, accepted or not.
@@ -59,15 +60,16 @@ def solve(
       ValueError: unknown kernel or solver, wrong shapes, non-finite numbers, an information matrix with a negative
         eigenvalue, or rows that nothing determines (the last three only where the arrays are concrete).
     """
+    kernel = kernel_of(kernel)
     prepared = _prepared(graph, kernel, width, solver, structure)
     return prepared if isinstance(prepared, Solution) else _run(prepared, graph.group, kernel, max_steps, rtol, report)
 
 
 def cut_off(
-    graph: PoseGraph, poses: Float[Array | np.ndarray, "N P"], *, kernel: str = "cauchy", width: float | None = None
+    graph: PoseGraph, poses: Float[Array | np.ndarray, "N P"], *, kernel: Kernel = "cauchy", width: float | None = None
 ) -> Bool[np.ndarray, " E"]:
     """Robust edges that count for nothing at `poses`, which kernels that truncate have; the options as in `solve`."""
-    full = at_capacity(replace(graph, poses=poses))
+    kernel, full = kernel_of(kernel), at_capacity(replace(graph, poses=poses))
     squared = np.asarray(stepped.squared_residuals(full, full.poses))
     at = np.asarray(_default_width(graph, kernel) if width is None else width, squared.dtype)
     weights = _weights(squared, filled(at, len(squared), 1) if at.ndim else at, kernel)
@@ -98,10 +100,11 @@ def compile_solve(graph: PoseGraph, **options: Any) -> Callable[[], Solution]:
         "report": None,
     }
     given |= options
+    given["kernel"] = kernel = kernel_of(given["kernel"])
     prepared = _prepared(graph, *(given.pop(name) for name in ("kernel", "width", "solver", "structure")))
     if isinstance(prepared, Solution):
         return lambda: prepared
-    static = {"group": graph.group, "kernel": options.get("kernel", "cauchy")} | given
+    static = {"group": graph.group, "kernel": kernel} | given
     if on_host(prepared[1][4], prepared):
         _run(prepared, **(static | {"max_steps": 1, "report": None}))
         return lambda: _run(prepared, **static)
@@ -111,7 +114,6 @@ def compile_solve(graph: PoseGraph, **options: Any) -> Callable[[], Solution]:
 
 def _prepared(graph, kernel, width, solver, structure):
     """`params` and `rest` of `optimum`; the solution where there is nothing to solve."""
-    check_kernel(kernel)
     check(graph)
     dtype = jax.dtypes.canonicalize_dtype(graph.poses.dtype)
     width = _default_width(graph, kernel) if width is None else width

@@ -13,7 +13,7 @@ from ebjax.posegraph.factors import gauss_newton_blocks
 from ebjax.posegraph.graph import PoseGraph
 from ebjax.posegraph.linear import Structure, analyse, linear_solve
 from ebjax.posegraph.matrices import adjoints, to_matrices
-from ebjax.posegraph.robust import check_kernel
+from ebjax.posegraph.robust import Kernel, kernel_of
 from ebjax.posegraph.sparse import solve_now
 
 _TOGETHER = 32  # poses or pairs that share one factorisation
@@ -23,7 +23,7 @@ def marginals(
     graph: PoseGraph,
     rows: Int[Array | np.ndarray, " K"],
     *,
-    kernel: str = "cauchy",
+    kernel: Kernel = "cauchy",
     width: float | Float[Array, ""] = 1.0,
     solver: str = "auto",
     structure: Structure | None = None,
@@ -38,7 +38,7 @@ def marginals(
       ValueError: a row outside the graph (where the rows are concrete), unknown kernel or solver.
     """
     _check_rows(graph, rows)
-    check_kernel(kernel)
+    kernel = kernel_of(kernel)
     structure = analyse(graph, solver, look=True) if structure is None else structure
     if on_host(structure, graph, rows, width):
         rows, none = np.asarray(rows), np.zeros((len(rows), graph.lie.dim, graph.lie.dim))
@@ -51,7 +51,7 @@ def relative_marginals(
     a: Int[Array | np.ndarray, " K"],
     b: Int[Array | np.ndarray, " K"],
     *,
-    kernel: str = "cauchy",
+    kernel: Kernel = "cauchy",
     width: float | Float[Array, ""] = 1.0,
     solver: str = "auto",
     structure: Structure | None = None,
@@ -69,7 +69,7 @@ def relative_marginals(
         raise ValueError(f"{len(a)} poses a but {len(b)} poses b; give one of each per pair")
     for rows in (a, b):
         _check_rows(graph, rows)
-    check_kernel(kernel)
+    kernel = kernel_of(kernel)
     structure = analyse(graph, solver, look=True) if structure is None else structure
     if on_host(structure, graph, a, b, width):
         a, b, poses = np.asarray(a), np.asarray(b), to_matrices(np.asarray(graph.poses))

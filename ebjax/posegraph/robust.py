@@ -8,13 +8,20 @@ distributed with d degrees of freedom: truncated least squares ("tls") wants wid
 "gnc-tls" and "gnc-gm" are "tls" and "geman-mcclure" reached by graduated non-convexity (`ebjax.posegraph.gnc`): a
 `Graduated` width has a softness too, large where the kernel is nearly quadratic, 0 where it is the kernel itself.
 After a choice of loops (`ebjax.posegraph.consensus`) "consensus" is "tls" and "pcm" is "cauchy".
+
+One of your own is a function rho(s, width^2) of JAX arrays, elementwise and differentiable, given as it is or as
+`my_package.mine:NAME`, whose code is then run.
 """
 
+import typing
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
+
+from ebjax.parts import OWN, find, is_own
 
 CHI2_99 = {2: 9.210, 3: 11.345, 6: 16.812}  # points of the chi-square distribution by degrees of freedom
 CHI2_999 = {2: 13.816, 3: 16.266, 6: 22.458}
@@ -27,6 +34,17 @@ class Graduated(NamedTuple):
     softness: Float[Array, ""]
 
 
+@typing.runtime_checkable
+class Rho(Protocol):
+    """A kernel."""
+
+    def __call__(self, s: Float[Array, "*b"], width_squared: Float[Array, "*b"], /) -> Float[Array, "*b"]:
+        """rho(s) of squared, whitened residuals s; rho(0) = 0 and rho'(0) = 1, elementwise."""
+        ...
+
+
+Kernel = str | Rho
+"""The name of one of ours, or what one of your own is."""
 Width = Float[Array, ""] | Float[Array, " E"] | Graduated
 
 
@@ -102,29 +120,42 @@ def chi_square_999(freedom: Int[Array, "*n"]) -> Float[Array, "*n"]:
     return jnp.where(freedom > 0, n * (1 - 2 / (9 * n) + 3.0902 * jnp.sqrt(2 / (9 * n))) ** 3, 0)
 
 
-def default_width(kernel: str, dim: int) -> float:
+def default_width(kernel: Kernel, dim: int) -> float:
     """1, the paper's; of what cuts off the root of the 99.9 % point of chi-square with `dim` degrees of freedom."""
     return CHI2_999[dim] ** 0.5 if kernel in ("tls", "gnc-tls", "gnc-gm", "consensus") else 1.0
 
 
-def check_kernel(kernel: str) -> None:
-    """Refuses an unknown kernel.
+def kernel_of(kernel: Kernel) -> Kernel:
+    """The kernel of a name: ours stays a name, one of your own is looked up.
 
     Raises:
-      ValueError: names the known ones.
+      ValueError: unknown, or no kernel; names the known ones.
     """
-    if kernel not in KERNELS:
-        raise ValueError(f"kernel {kernel!r} is unknown; choose one of {', '.join(KERNELS)}")
+    if not isinstance(kernel, str):
+        found: Kernel = kernel
+    elif is_own(kernel):
+        found = find("kernel", kernel, {})
+    elif kernel in KERNELS:
+        return kernel
+    else:
+        raise ValueError(f"kernel {kernel!r} is unknown; choose one of {', '.join(KERNELS)}, or {OWN}")
+    if not callable(found):
+        raise ValueError(f"kernel {kernel!r} is a {type(found).__name__}; give a function rho(s, width^2)")
+    return found
 
 
-def rho(kernel: str, s: Float[Array, "*b"], width: Width) -> Float[Array, "*b"]:
+def rho(kernel: Kernel, s: Float[Array, "*b"], width: Width) -> Float[Array, "*b"]:
     """The kernel: cauchy w^2 log(1 + s/w^2), huber, geman-mcclure s w^2/(s + w^2), dcs, tls min(s, w^2), none s."""
-    return KERNELS[kernel](s, *_shape(width))
+    w2, softness = _shape(width)
+    return KERNELS[kernel](s, w2, softness) if isinstance(kernel, str) else kernel(s, w2)
 
 
-def weight(kernel: str, s: Float[Array, "*b"], width: Width) -> Float[Array, "*b"]:
+def weight(kernel: Kernel, s: Float[Array, "*b"], width: Width) -> Float[Array, "*b"]:
     """The derivative d rho / d s: the weight of an edge in iteratively reweighted least squares, in [0, 1]."""
-    return WEIGHTS[kernel](s, *_shape(width))
+    w2, softness = _shape(width)
+    if isinstance(kernel, str):
+        return WEIGHTS[kernel](s, w2, softness)
+    return jax.jvp(lambda s: kernel(s, w2), (s,), (jnp.ones_like(s),))[1]
 
 
 def _shape(width):

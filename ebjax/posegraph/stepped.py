@@ -18,6 +18,7 @@ from ebjax.posegraph.capacity import at_capacity, filled, structure_at_capacity
 from ebjax.posegraph.graph import PoseGraph
 from ebjax.posegraph.levenberg import Levenberg, Solution, levenberg, moved, solution
 from ebjax.posegraph.linear import Structure
+from ebjax.posegraph.robust import Kernel
 from ebjax.posegraph.sparse import SparsePlan, solve_now
 
 
@@ -57,7 +58,7 @@ def squared_residuals(graph: PoseGraph, poses: Any) -> Array:
 def minimise(
     graph: PoseGraph,
     structure: Structure,
-    kernel: str,
+    kernel: Kernel,
     width: Any,
     max_steps: Any,
     rtol: Any,
@@ -80,7 +81,7 @@ def minimise(
 def optimum(
     graph: PoseGraph,
     structure: Structure,
-    kernel: str,
+    kernel: Kernel,
     width: Float[np.ndarray, ""] | Float[np.ndarray, " E"],
     first: Float[np.ndarray, " E"] | None,
     max_steps: int,

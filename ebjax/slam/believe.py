@@ -9,21 +9,24 @@ came or of what was believed before: a closure believed early is taken back wher
 """
 
 import dataclasses
+from bisect import bisect_left
+from collections.abc import Callable, Sequence
+from itertools import count
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Bool, Float, Int
 
-from ebjax.geometry.planar import adjoint, inverse, inverse_covariance
-from ebjax.posegraph.consistency import Loops, cycle, largest_clique
-from ebjax.posegraph.robust import CHI2_99
+from ebjax.posegraph.consistency import largest_clique
+from ebjax.slam.compared import ROOM, Compared
 from ebjax.slam.gate import odometry_distance
+from ebjax.slam.measured import Measured
+from ebjax.slam.table import Table
+from ebjax.slam.walked import Walked
 
 KEPT = "kept"
 THINNED = "a better closure is near on the path"
 CONTRADICTED = "contradicts the corrected path"
-GROUP = 64
+GROUP = ROOM // 2
 """Closures that are compared with each other, at least; the last of a path are up to twice as many."""
 
 
@@ -49,125 +52,113 @@ class BeliefConfig:
     """Keep only so many closures, spread along the path, as the paper's 20; 0 keeps all."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Measured:
-    """Measured candidates, one a row: i > j, direction, distance of the descriptors, matches, motion."""
-
-    i: Int[np.ndarray, " K"]
-    j: Int[np.ndarray, " K"]
-    opposing: Bool[np.ndarray, " K"]
-    distance: Float[np.ndarray, " K"]
-    inliers: Int[np.ndarray, " K"]
-    total: Int[np.ndarray, " K"]
-    i_from_j: Float[np.ndarray, "K 3"]
-    covariance: Float[np.ndarray, "K 3 3"]
-
-    def rows(self, which: np.ndarray) -> "Measured":
-        """Some of them."""
-        return Measured(*(getattr(self, field.name)[which] for field in dataclasses.fields(self)))
-
-
-@dataclasses.dataclass(frozen=True)
-class Walked:
-    """The path that candidates are compared with, and how it may err.
-
-    Attributes:
-      poses: x, y (m), heading (rad) of the keyframes.
-      steps: covariance of each of the N - 1 steps, right tangent.
-      piece: which unbroken piece of path a keyframe belongs to; nothing is known between two pieces.
-    """
-
-    poses: Float[np.ndarray, "N 3"]
-    steps: Float[np.ndarray, "M 3 3"]
-    piece: Int[np.ndarray, " N"]
-
-    def travelled(self) -> Float[np.ndarray, " N"]:
-        """The way to every keyframe, m."""
-        steps = np.linalg.norm(np.diff(self.poses[:, :2], axis=0), axis=1)
-        return np.concatenate([[0.0], np.cumsum(np.where(np.diff(self.piece) == 0, steps, 0.0))])
-
-    def spread(self) -> Float[np.ndarray, "N 3 3"]:
-        """C_n = sum Ad Q Ad^T: the odometry from m to n has covariance C_n - C_m, in the world."""
-        ad = adjoint(self.poses[1:])
-        return np.concatenate([np.zeros((1, 3, 3)), np.cumsum(ad @ self.steps @ np.swapaxes(ad, 1, 2), 0)])
-
-
 class Belief:
-    """What is believed of the candidates so far.
-
-    Attributes:
-      reasons: "kept", or why not, of every candidate.
-    """
+    """What is believed of the candidates so far."""
 
     def __init__(self, config: BeliefConfig):
-        self.config, self.reasons = config, np.zeros(0, object)
-        self._alone = np.zeros(0, object)
-        self._agree: dict[tuple[int, int], bool] = {}
-        self._cliques: dict[tuple[int, ...], Bool[np.ndarray, " n"]] = {}
-        self._known = self._cliques
+        self.config = config
+        self._said = Table(reason=object, kept=bool)
+        self._best: dict[int, tuple[float, int]] = {}
+        """Of every stretch of path its best candidate: quality, row."""
+        self._alive: dict[tuple[int, int], list[tuple[int, int]]] = {}
+        """Of every two pieces of path the best candidates between them along it: later keyframe, row."""
+        self._compared: dict[tuple[int, int], Compared] = {}
+
+    @property
+    def reasons(self) -> np.ndarray:
+        """Of every candidate: "kept", or why not."""
+        return self._said.reason
 
     @property
     def kept(self) -> Bool[np.ndarray, " K"]:
         """Which are loop closures."""
-        return self.reasons == KEPT
+        return self._said.kept
 
     def update(self, candidates: Measured, path: Walked) -> None:
-        """Asks again.
+        """Asks again where what came in since the last time may change what is believed.
 
         Args:
           candidates: all so far, those of earlier updates first and unchanged; i and j are rows of the path.
           path: as it was at earlier updates, gone on.
         """
-        old = len(self.reasons)
-        alone = alone_reasons(candidates.rows(np.arange(old, len(candidates.i))), path, self.config)
-        self._alone = np.concatenate([self._alone, alone])
-        self.reasons = self._alone.copy()
-        alive = np.flatnonzero(self._alone == "")
-        quality = candidates.inliers**2 / np.maximum(candidates.total, 1)
-        place = path.travelled()[candidates.i]
-        best = best_per_stretch(place[alive], quality[alive], self.config.spacing_m)
-        self.reasons[alive[~best]] = THINNED
-        alive = alive[best]
-        pairs = np.stack([path.piece[candidates.i[alive]], path.piece[candidates.j[alive]]], 1)
-        self._known, self._cliques = self._cliques, {}
-        for pair in np.unique(pairs, axis=0):
-            self._groups(alive[(pairs == pair).all(1)], candidates, path, quality)
-        top = self.config.top
-        alive = np.flatnonzero(self.reasons == KEPT)
-        if top and len(alive) > top:
-            spread = spread_along(place[alive], quality[alive], top)
-            self.reasons[alive[~spread]] = f"not among the best {top} spread along the path"
+        old = len(self._said)
+        new = candidates.rows(np.arange(old, len(candidates.i)))
+        for reason in alone_reasons(new, path, self.config):
+            self._said.append(reason=reason, kept=False)
+        stretches = np.floor(path.travelled[new.i] / max(self.config.spacing_m, 1e-9)).astype(int)
+        changed: dict[tuple[int, int], list[int]] = {}
 
-    def _groups(self, alive: Int[np.ndarray, " n"], candidates: Measured, path: Walked, quality) -> None:
-        alive = alive[np.lexsort((candidates.j[alive], candidates.i[alive]))]
-        starts = [GROUP * k for k in range(max(1, len(alive) // GROUP))]
-        for start, end in zip(starts, [*starts[1:], len(alive)], strict=True):
-            group = alive[start:end]
-            agreed = self._clique(group, candidates, path, quality)
-            self.reasons[group[~agreed]] = "contradicts the other closures"
+        def change(row: int, how: Callable[[list[tuple[int, int]], tuple[int, int]], int]) -> None:
+            i, j = int(candidates.i[row]), int(candidates.j[row])
+            alive = self._alive.setdefault((int(path.piece[i]), int(path.piece[j])), [])
+            was = changed.setdefault((int(path.piece[i]), int(path.piece[j])), [len(alive)])
+            was.append(how(alive, (i, row)))
+
+        for row, quality, stretch in zip(count(old), new.quality.tolist(), stretches.tolist(), strict=False):
+            if self.reasons[row]:
+                continue
+            best = self._best.get(stretch)
+            if best is not None and quality <= best[0]:
+                self._say([row], THINNED)
+                continue
+            if best is not None:
+                self._say([best[1]], THINNED)
+                change(best[1], taken_out)
+            self._best[stretch] = quality, row
+            change(row, put_in)
+        for pieces, (length, *places) in changed.items():
+            # The last of the groups there were may now be two, or be no more.
+            first = min(min(places) // GROUP, groups_of(length) - 1)
+            self._groups(pieces, first, candidates, path)
+        if self.config.top:
+            self._spread_out(candidates, path)
+
+    def _say(self, rows: Sequence[int] | Int[np.ndarray, " n"], reason: str) -> None:
+        self._said.reason[rows], self._said.kept[rows] = reason, reason == KEPT
+
+    def _groups(self, pieces: tuple[int, int], first: int, candidates: Measured, path: Walked) -> None:
+        """Asks the closures between two pieces of path, from a group on, whether they agree."""
+        alive = np.array([row for _, row in self._alive[pieces]], int)
+        compared = self._compared.setdefault(pieces, Compared())
+        many = groups_of(len(alive))
+        for number in range(min(first, many - 1), many):
+            group = alive[GROUP * number : None if number == many - 1 else GROUP * (number + 1)]
+            agree = compared.agree(number, group, candidates, path)
+            agreed = largest_clique(agree, candidates.rows(group).quality.astype(float))
+            self._say(group[~agreed], "contradicts the other closures")
             group = group[agreed]
             supported = min(len(np.unique(candidates.i[group])), len(np.unique(candidates.j[group])))
             enough = supported >= self.config.min_agreeing
-            self.reasons[group] = KEPT if enough else "no other closure supports it"
+            self._say(group, KEPT if enough else "no other closure supports it")
 
-    def _clique(self, group, candidates: Measured, path: Walked, quality) -> Bool[np.ndarray, " n"]:
-        key = tuple(group.tolist())
-        if key in self._known:
-            self._cliques[key] = self._known[key]
-        if key not in self._cliques:
-            lacking = {a: sum((a, b) not in self._agree for b in key) for a in key}
-            loops = loops_of(candidates.rows(group), path) if any(lacking.values()) else None
-            # One closure that is new lacks all others, and each of these only the new one.
-            while loops is not None and any(lacking.values()):
-                a = max(key, key=lambda k: lacking[k])
-                ways = np.asarray(_row_of_cycles(loops, key.index(a)))[:, : len(key)] <= CHI2_99[3]
-                for b, one, other in zip(key, *ways, strict=True):
-                    lacking[b] -= (a, b) not in self._agree and a != b
-                    self._agree[a, b] = self._agree[b, a] = bool(one and other)
-                lacking[a] = 0
-            agree = np.array([[self._agree[a, b] for b in key] for a in key]).reshape(len(key), len(key))
-            self._cliques[key] = largest_clique(agree, quality[group].astype(float))
-        return self._cliques[key]
+    def _spread_out(self, candidates: Measured, path: Walked) -> None:
+        """Keeps the best `top`, spread along the path, of all that are believed."""
+        beyond = f"not among the best {self.config.top} spread along the path"
+        self._say(np.flatnonzero(self.reasons == beyond), KEPT)
+        believed = np.flatnonzero(self.kept)
+        if len(believed) > self.config.top:
+            some = candidates.rows(believed)
+            chosen = spread_along(path.travelled[some.i], some.quality, self.config.top)
+            self._say(believed[~chosen], beyond)
+
+
+def groups_of(length: int) -> int:
+    """How many groups so many closures make."""
+    return max(1, length // GROUP)
+
+
+def put_in(alive: list[tuple[int, int]], one: tuple[int, int]) -> int:
+    """Where it went."""
+    place = bisect_left(alive, one)
+    alive.insert(place, one)
+    return place
+
+
+def taken_out(alive: list[tuple[int, int]], one: tuple[int, int]) -> int:
+    """Where it was."""
+    place = bisect_left(alive, one)
+    del alive[place]
+    return place
 
 
 def alone_reasons(candidates: Measured, path: Walked, config: BeliefConfig) -> np.ndarray:
@@ -200,41 +191,6 @@ def alone_reasons(candidates: Measured, path: Walked, config: BeliefConfig) -> n
     off[walked] = odometry_distance(some.i, some.j, some.i_from_j, some.covariance, path.poses, path.steps)
     reject(off > config.odometry_sigmas, lambda k: f"contradicts odometry by {off[k]:.1f} sigma")
     return reasons
-
-
-def loops_of(group: Measured, path: Walked) -> Loops:
-    """Closures and the path at their ends, as `posegraph.consistency` compares them, in arrays of one size."""
-    count, room = len(group.i), 2 * GROUP
-    # Rows in the order of the path: which of two comes first says whether the way between adds or is taken away.
-    ends = np.unique(np.concatenate([group.j, group.i]))
-    poses, spread = np.zeros((2 * room, 3)), np.zeros((2 * room, 3, 3))
-    poses[: len(ends)], spread[: len(ends)] = path.poses[ends], path.spread()[ends]
-    earlier, later = np.zeros(room, int), np.zeros(room, int)
-    earlier[:count], later[:count] = np.searchsorted(ends, group.j), np.searchsorted(ends, group.i)
-    measured, covariance = np.zeros((room, 3)), np.tile(np.eye(3), (room, 1, 1))
-    measured[:count] = inverse(group.i_from_j)
-    covariance[:count] = inverse_covariance(group.i_from_j, group.covariance)
-    return Loops(poses, spread, earlier, later, measured, covariance)
-
-
-@jax.jit
-def _row_of_cycles(loops: Loops, a: Int[Array, ""]) -> Float[Array, "2 K"]:
-    """Distances of the cycles through closure a and every other, and through every other and a."""
-    every = jnp.arange(len(loops.i))
-    one = jnp.broadcast_to(a, every.shape)
-    return jnp.stack([cycle(loops, one, every)[0], cycle(loops, every, one)[0]])
-
-
-def best_per_stretch(
-    place: Float[np.ndarray, " K"], quality: Float[np.ndarray, " K"], spacing: float
-) -> Bool[np.ndarray, " K"]:
-    """The best of every stretch of `spacing`, the path cut from its start."""
-    chosen = np.zeros(len(place), bool)
-    stretch = np.floor(place / max(spacing, 1e-9)).astype(int)
-    order = np.lexsort((np.arange(len(place)), -quality, stretch))
-    first = np.append(True, np.diff(stretch[order]) != 0)[: len(order)]
-    chosen[order[first]] = True
-    return chosen
 
 
 def spread_along(place: Float[np.ndarray, " K"], quality: Float[np.ndarray, " K"], top: int) -> Bool[np.ndarray, " K"]:

@@ -24,13 +24,14 @@ class PipelineConfig:
 
     descriptor: str = "floornet"
     """Global descriptor: floornet, rootsift-vlad, hog, joint (floor and whole image), or of a network whose weights are
-    not ours netvlad, superpoint, resnet50 or vgg19 (flattened map), resnet50-pooled, vgg19-pooled."""
+    not ours netvlad, superpoint, resnet50 or vgg19 (flattened map), resnet50-pooled, vgg19-pooled; or your own,
+    package.module:NAME, whose code is then run."""
     ranking: Literal["auto", "correlation", "cosine"] = "auto"
     """Ranking of candidates: the paper's cosine of global descriptors, or shift-maximised correlation of floor maps
     (floornet and rootsift-vlad only, and their default)."""
     extractor: str = "floornet"
     """Local features: floornet, rootsift (upright, on corners), sift, orb, surf, or another network: superpoint, d2net,
-    alike."""
+    alike; or your own, package.module:NAME, whose code is then run."""
     weights: Path | None = None
     """Of a network: its .safetensors file, or a folder of them; None: $EBJAX_WEIGHTS or ~/.cache/ebjax/weights."""
     arithmetic: Arithmetic = "exact"
@@ -47,10 +48,10 @@ class PipelineConfig:
     """Candidates of each view that are verified in each direction, the best that odometry does not rule out."""
     tolerance_m: float = 0.02
     """Largest distance of matching points on the floor, m."""
-    kernel: Literal[
-        "cauchy", "none", "huber", "geman-mcclure", "dcs", "tls", "gnc-tls", "gnc-gm", "pcm", "consensus"
-    ] = "consensus"
-    """How the pose graph survives false closures among those selected, as in `ebjax.posegraph.solve`."""
+    kernel: str = "consensus"
+    """How the pose graph survives false closures among those selected, as in `ebjax.posegraph.solve`: consensus,
+    cauchy, none, huber, geman-mcclure, dcs, tls, gnc-tls, gnc-gm, pcm, or a function of your own, package.module:NAME,
+    whose code is then run."""
     kernel_width: float | None = None
     """Width of that kernel, standard deviations; None is 1, and for those that cut off the 99.9 % point."""
     motion: Literal["wheels+floor", "floor", "wheels"] | None = None

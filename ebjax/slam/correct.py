@@ -23,9 +23,14 @@ FIRST = 256
 
 
 class Corrector:
-    """Where the keyframes are after the closures."""
+    """Where the keyframes are after the closures.
 
-    def __init__(self):
+    Args:
+      most: keyframes that there will be at most; None: not known.
+    """
+
+    def __init__(self, most: int | None = None):
+        self._most = most
         self._pool = ThreadPoolExecutor(1)
         self._beside = ThreadPoolExecutor(1)
         self._compiled = FIRST
@@ -47,7 +52,7 @@ class Corrector:
         if self._waiting is not None:
             self._settled = self._waiting.result()
         self._begun = rows
-        if 2 * rows > self._compiled:
+        if 2 * rows > self._compiled and (self._most is None or self._most > self._compiled):
             # At half its capacity: the programs of larger graphs are ready when they are needed.
             self._compiled *= 2
             self._beside.submit(compile_solve_for, self._compiled)

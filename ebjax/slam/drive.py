@@ -1,5 +1,6 @@
 """A recorded run driven through the engine, its images decoded a few ahead."""
 
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -13,7 +14,8 @@ from ebjax.slam.frame import Frame, Update
 from ebjax.slam.recording import Load, Recording
 
 Progress = Callable[[Iterable, int, str], Iterator]
-PREFETCH = 4
+PREFETCH, LOOKED_AHEAD = 4, 2
+"""Images that are decoded before their turn, and frames that are looked at."""
 
 
 def in_silence(items: Iterable, total: int, label: str) -> Iterator:
@@ -36,11 +38,26 @@ def drive(
       told: is called with every update.
     """
     first = mapper.next_frame
-    for k, frame in enumerate(progress(frames_of(recording, mapper.config, first), len(recording), "driving")):
+    frames = with_more_expected(frames_of(recording, mapper.config, first), mapper.expect)
+    for k, frame in enumerate(progress(frames, len(recording), "driving")):
         if k < first:
             mapper.pass_by(frame)
         else:
             told(mapper.add(frame))
+
+
+def with_more_expected(frames: Iterable[Frame], expect: Callable[[int, Frame], None]) -> Iterator[Frame]:
+    """The frames, each after `expect` was told of the next with images."""
+    coming: deque[Frame] = deque()
+    images = 0
+    for number, frame in enumerate(frames):
+        expect(number, frame)
+        coming.append(frame)
+        images += frame.rgb is not None
+        while images > LOOKED_AHEAD:
+            images -= coming[0].rgb is not None
+            yield coming.popleft()
+    yield from coming
 
 
 def frames_of(recording: Recording, config: PipelineConfig, first: int = 0) -> Iterator[Frame]:

@@ -20,16 +20,18 @@ from ebjax.places.fixed_words import FixedWords, fixed_words
 from ebjax.places.index import PlaceIndex
 from ebjax.places.search import check_ranking
 from ebjax.posegraph.graph import PoseGraph
-from ebjax.slam.believe import Belief, Measured, Walked
+from ebjax.slam.believe import Belief
 from ebjax.slam.config import PipelineConfig
 from ebjax.slam.correct import Corrector
 from ebjax.slam.frame import Closure, Frame, Update
 from ebjax.slam.graph import graph_so_far
 from ebjax.slam.join import joined
+from ebjax.slam.measured import Measured
 from ebjax.slam.packed import Arrays, place_of
 from ebjax.slam.recall import Alike, comparable_rows, worth_verifying
 from ebjax.slam.table import Table
 from ebjax.slam.told import packed_pairs, packed_steps, unpacked_pairs, unpacked_steps
+from ebjax.slam.walked import Walked
 from ebjax.slam.walker import Walker
 
 
@@ -55,7 +57,7 @@ class Engine(Walker):
             covariance=(float, (3, 3)),
         )  # fmt: skip
         self.belief = Belief(self.config.believe)
-        self.corrector = Corrector()
+        self.corrector = Corrector(None if self.recording is None else self.start + len(self.recording))
         self.seconds: dict[str, float] = {}
         self._in_map = self._begun_in_map = np.zeros(0, bool)
         for row in range(len(self.store)):
@@ -84,17 +86,31 @@ class Engine(Walker):
 
     def _keyframe(self, number: int, kept: Arrays) -> tuple[tuple[Closure, ...], bool]:
         row = self._arrived(number, kept)
-        alike = self._alike(row, kept)
-        first = (alike.j[0], alike.opposing[0], alike.distance[0]) if len(alike.j) else (-1, False, np.inf)
-        self.firsts.append(j=first[0], opposing=first[1], distance=first[2])
-        path = self.path
-        chosen = worth_verifying(alike, row, path, self.view, self.config)
-        news = self._believe(row, chosen, path)
+        news = self._recognise(row, kept)
         self._keep(row, number)
         begun = self._begun_in_map
         corrected = self.corrector.take(row + 1, self._graph, self.chain.poses)
         self._in_map = begun if corrected else self._in_map
         return news, corrected
+
+    def _recognise(self, row: int, kept: Arrays) -> tuple[Closure, ...]:
+        """Looks for a keyframe among those before; returns closures whose standing is new."""
+        alike = self._alike(row, kept)
+        first = (alike.j[0], alike.opposing[0], alike.distance[0]) if len(alike.j) else (-1, False, np.inf)
+        self.firsts.append(j=first[0], opposing=first[1], distance=first[2])
+        path = self.path
+        return self._believe(row, worth_verifying(alike, row, path, self.view, self.config), path)
+
+    def recognise(self, kept: Arrays, name: str) -> None:
+        """Looks for a keyframe whose way is known (`at.*`) among those before, and keeps it.
+
+        Raises:
+          OSError: the keyframe cannot be kept.
+        """
+        row, self.store.newest = len(self.store), kept
+        self._hang(row, kept)
+        self._recognise(row, kept)
+        self.store.keep({**kept, **self._found(row)}, name, [])
 
     def _maps(self, rows: Int[np.ndarray, " K"]) -> tuple[Int8[np.ndarray, "K h w D"], UInt8[np.ndarray, "K h w"]]:
         kept = [self.store.arrays(int(row)) for row in rows]
@@ -117,25 +133,23 @@ class Engine(Walker):
             self.looked.pairs(i, chosen.j, chosen.opposing)
             for j, opposing, distance in zip(chosen.j, chosen.opposing, chosen.distance, strict=True):
                 self._candidate(row, int(j), bool(opposing), float(distance))
-            before = self.belief.kept
+            before = self.belief.kept.copy()
             self.belief.update(self.measured(), path)
-            after = self.belief.kept
-            changed = np.flatnonzero(np.append(before, np.zeros(len(after) - len(before), bool)) != after)
-            return tuple(self._closure(int(k)) for k in np.union1d(changed, np.arange(count, len(after))))
+            changed = np.flatnonzero(before != self.belief.kept[:count])
+            return tuple(self._closure(int(k)) for k in [*changed, *range(count, len(self.candidates))])
         return ()
 
     def _candidate(self, row: int, j: int, opposing: bool, distance: float) -> None:
-        inliers, total, settled = self.looked.told[row, j, opposing]
-        i_from_j, covariance, _ = more_certain(stacked([settled]), False)
+        told = self.looked.told[row][j, opposing]
+        i_from_j, covariance, _ = more_certain(stacked([told.settled]), False)
         self.candidates.append(
-            i=row, j=j, opposing=opposing, distance=distance, inliers=inliers, total=total, i_from_j=i_from_j[0],
-            covariance=covariance[0],
+            i=row, j=j, opposing=opposing, distance=distance, inliers=told.inliers, total=told.total,
+            i_from_j=i_from_j[0], covariance=covariance[0],
         )  # fmt: skip
 
     def measured(self) -> Measured:
         """All candidates so far; i and j are rows of the keyframes."""
-        names = [field.name for field in dataclasses.fields(Measured)]
-        return Measured(*(getattr(self.candidates, name).copy() for name in names))
+        return Measured(*(getattr(self.candidates, field.name) for field in dataclasses.fields(Measured)))
 
     def _closure(self, k: int) -> Closure:
         c, frame = self.candidates, self.keyframes.frame
@@ -172,12 +186,11 @@ class Engine(Walker):
 
     def _keep(self, row: int, number: int) -> None:
         """Keeps the keyframe in work with all that was measured of it."""
-        firsts, keyframes = self.firsts, self.keyframes
+        keyframes = self.keyframes
         bridged = self._steps.kind == "image"
         steps = self._steps.rows(bridged | (self._steps.kind == "rotation"))
         if len(steps.i):
             self.bridged.append(steps)
-        mine = self.candidates.i == row
         told = {
             "at.frame": np.array(number),
             "at.stamp_s": np.array(keyframes.stamp_s[row]),
@@ -186,41 +199,52 @@ class Engine(Walker):
             "at.pose": self.chain.poses[row].copy(),
             "at.step": self.chain.steps[row].copy(),
             "at.measured": np.array(self.chain.measured[row]),
-            "first": np.array([firsts.j[row], firsts.opposing[row], firsts.distance[row]]),
-            "candidates": np.stack([self.candidates.j[mine], self.candidates.opposing[mine]], 1).astype(np.int64),
-            "candidates.distance": self.candidates.distance[mine].copy(),
         }
         if self.follower is not None:
             told |= self.follower.told_up_to(number)
-        whole = {**self.store.newest, **told, **packed_pairs(row, self.looked.told), **packed_steps(steps)}
+        whole = {**self.store.newest, **told, **self._found(row), **packed_steps(steps)}
         between, self._between = [one for one in self._between if one.frame < number], []
         self.store.keep(whole, self.names[number], between)
 
-    def _take_up(self, row: int, kept: Arrays) -> None:
-        """Goes on from a keyframe that was kept."""
+    def _found(self, row: int) -> dict[str, np.ndarray]:
+        """What a keyframe was compared with, and what came out."""
+        firsts, mine = self.firsts, self.candidates.i == row
+        return {
+            "first": np.array([firsts.j[row], firsts.opposing[row], firsts.distance[row]]),
+            "candidates": np.stack([self.candidates.j[mine], self.candidates.opposing[mine]], 1).astype(np.int64),
+            "candidates.distance": self.candidates.distance[mine].copy(),
+            **packed_pairs(self.looked.told[row]),
+        }
+
+    def _hang(self, row: int, kept: Arrays) -> bool:
+        """Hangs a keyframe on the path where it was; returns whether it is of this run."""
         number, odom, piece = int(kept["at.frame"]), kept["at.odom"], self.store.piece(row)
         mine = row >= self.start
         if mine != (piece == self.store.current):
             raise ValueError(f"keyframe {row} of an earlier run lies among those of the one that goes on")
-        if mine and self.follower is None and "follow.frames" in kept:
-            self._follow()
         self.keyframes.append(
             frame=number, stamp_s=kept["at.stamp_s"], odom=odom, travelled=kept["at.travelled"], piece=piece
         )  # fmt: skip
         pose, step = (kept["at.pose"], kept["at.step"]) if mine else self.store.settled_step(row, kept)
         self.chain.take_up(float(kept["at.stamp_s"]), pose, step, bool(kept["at.measured"]))
-        first = kept["first"]
+        return mine
+
+    def _take_up(self, row: int, kept: Arrays) -> None:
+        """Goes on from a keyframe that was kept."""
+        mine, first = self._hang(row, kept), kept["first"]
+        if mine and self.follower is None and "follow.frames" in kept:
+            self._follow()
         self.firsts.append(j=int(first[0]), opposing=bool(first[1]), distance=first[2])
         self.index.add(place_of(kept))
-        self.looked.told |= unpacked_pairs(row, kept)
+        self.looked.told[row] = unpacked_pairs(kept)
         if mine and len(kept["steps.words"]):
             self.bridged.append(unpacked_steps(kept))
         for (j, opposing), distance in zip(kept["candidates"].tolist(), kept["candidates.distance"], strict=True):
             self._candidate(row, j, bool(opposing), float(distance))
         if mine and self.follower is not None:
-            self.follower.take_up(number, float(kept["at.stamp_s"]), kept)
+            self.follower.take_up(int(kept["at.frame"]), float(kept["at.stamp_s"]), kept)
         elif mine:
-            self._asked = odom.copy()
+            self._asked = kept["at.odom"].copy()
 
 
 def correlating(config: PipelineConfig) -> FixedWords | None:

@@ -20,16 +20,14 @@ from ebjax.odometry.motion import (
     motion_of_nodding,
     motion_with_closures,
 )
-from ebjax.posegraph.lm import cut_off, solve
-from ebjax.slam.believe import CONTRADICTED, Belief
+from ebjax.slam.close import close
 from ebjax.slam.engine import Engine
 from ebjax.slam.lean import Asked, By, Lean, image_level, shown_by_depth, shown_by_the_floor, used
 from ebjax.slam.lens_check import lens_warning
 from ebjax.slam.look import Views
-from ebjax.slam.map_path import MapPath
 from ebjax.slam.path import path_of_motion, path_of_wheels
 from ebjax.slam.recall import Alike
-from ebjax.slam.run import Earlier, Run
+from ebjax.slam.run import Run
 from ebjax.views.run_view import remounted_view
 
 LOOK_AGAIN_DEG = 0.1
@@ -186,25 +184,11 @@ def concluded(engine: Engine, moved: Moved | None) -> Run:
         camera, view, trust_depth = motion.camera, remounted_view(engine.view, motion.camera), motion.trust_depth
         path = path_of_motion(motion, moved.way)
     i_from_j, covariance, by_depth = closures.measured(camera, config.tolerance_m, trust_depth)
-    for name, values in (("i_from_j", i_from_j), ("covariance", covariance)):
-        getattr(every, name)[own] = values
-    map_path = MapPath(engine, path)
-    belief = Belief(config.believe)
-    belief.update(map_path.nodes_of(every), map_path.walked)
+    every = dataclasses.replace(every, i_from_j=every.i_from_j.copy(), covariance=every.covariance.copy())
+    every.i_from_j[own], every.covariance[own] = i_from_j, covariance
     engine.seconds["believe"] = time.perf_counter() - begun
-
-    begun = time.perf_counter()
-    kept = np.flatnonzero(belief.kept)
-    graph = map_path.graph(map_path.nodes_of(every.rows(kept)))
-    solution = solve(graph, kernel=config.kernel, width=config.kernel_width, max_steps=100)
-    cut = cut_off(graph, solution.poses, kernel=config.kernel, width=config.kernel_width)[-len(kept) :]
-    if len(kept) and cut.any():
-        belief.reasons[kept[cut]] = CONTRADICTED
-        graph = map_path.graph(map_path.nodes_of(every.rows(kept[~cut])))
-    poses = path.everywhere(np.asarray(solution.poses)[start:])
-    engine.seconds["pose graph"] = time.perf_counter() - begun
+    closed = close(engine, path, every)
     candidates = dataclasses.replace(rows, i=frames[rows.i], j=frames[rows.j], i_from_j=i_from_j, covariance=covariance)
-    reasons = [str(reason) for reason in belief.reasons]
     follower, firsts = engine.follower, engine.firsts
     return Run(
         keyframes=frames,
@@ -215,14 +199,14 @@ def concluded(engine: Engine, moved: Moved | None) -> Run:
         firsts=Alike(*(getattr(firsts, name)[start:] for name in ("j", "opposing", "distance"))),
         candidates=candidates,
         by_depth=by_depth,
-        reasons=[reason for reason, mine in zip(reasons, own, strict=True) if mine],
+        reasons=[reason for reason, mine in zip(closed.earlier.reasons, own, strict=True) if mine],
         path=path,
-        graph=graph,
-        solution=solution,
-        poses=poses,
+        graph=closed.graph,
+        solution=closed.solution,
+        poses=closed.poses,
         seconds=engine.seconds,
         lean=engine.lean,
-        earlier=Earlier(start, np.asarray(solution.poses)[:start], every, reasons, map_path.in_map),
+        earlier=closed.earlier,
         followed=None if follower is None else (sum(follower.good), len(follower.good)),
     )
 

@@ -24,6 +24,12 @@ class Frame:
     odom_from_base: Float[np.ndarray, "3"] | None = None
     name: str = ""
 
+    def __repr__(self) -> str:
+        image = "no image" if self.rgb is None else f"{self.rgb.shape[1]} x {self.rgb.shape[0]}"
+        depth = "" if self.depth_m is None else ", depth"
+        odom = "no odometry" if self.odom_from_base is None else f"odometry {_pose(self.odom_from_base)}"
+        return f"Frame({self.name or 'unnamed'} at {self.stamp_s:.3f} s: {image}{depth}, {odom})"
+
 
 @dataclasses.dataclass(frozen=True)
 class Closure:
@@ -77,3 +83,12 @@ class Update:
     path: Float[np.ndarray, "N 3"] | None = None
     view: UInt8[np.ndarray, "h w 3"] | None = None
     milliseconds: float = 0.0
+
+    def __repr__(self) -> str:
+        kind = "" if self.keyframe is None else f", keyframe {self.keyframe}"
+        news = f", {sum(closure.kept for closure in self.closures)} closures believed" if self.closures else ""
+        return f"Update(frame {self.frame}{kind} at {_pose(self.map_from_base)}{news}, {self.milliseconds:.0f} ms)"
+
+
+def _pose(pose: Float[np.ndarray, "3"]) -> str:
+    return f"{pose[0]:.3f} m, {pose[1]:.3f} m, {np.degrees(pose[2]):.1f} degrees"

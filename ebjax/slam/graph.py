@@ -5,7 +5,7 @@ from jaxtyping import Float, Int
 
 from ebjax.geometry.planar import between
 from ebjax.posegraph.graph import PoseGraph, make_graph
-from ebjax.slam.believe import Measured
+from ebjax.slam.measured import Measured
 
 
 def graph_so_far(

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ebjax.geometry.planar import between, compose, inverse
-from ebjax.slam.believe import Measured
+from ebjax.slam.measured import Measured
 
 
 def joined(

@@ -18,12 +18,13 @@ from ebjax.odometry.causal import LOST
 from ebjax.odometry.steps import Steps
 from ebjax.places.index import PlaceIndex
 from ebjax.posegraph.robust import CHI2_99
-from ebjax.slam.believe import KEPT, Measured
+from ebjax.slam.believe import KEPT
 from ebjax.slam.config import PipelineConfig
 from ebjax.slam.doubt import Doubt
 from ebjax.slam.engine import correlating
 from ebjax.slam.frame import Closure, Frame
 from ebjax.slam.lean import Lean
+from ebjax.slam.measured import Measured
 from ebjax.slam.packed import Arrays, place_of
 from ebjax.slam.path import SYSTEMATIC
 from ebjax.slam.recall import Alike, best_of_each_way

@@ -1,7 +1,8 @@
 """Keyframes as they are looked at under one camera: described one by one, kept packed, verified in pairs."""
 
-from collections import OrderedDict
+from collections import defaultdict
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
 import jax
@@ -15,17 +16,21 @@ from ebjax.features.verify_pairs import VerifiedPair, pair_numbers, stacked, ver
 from ebjax.geometry.camera import Camera
 from ebjax.odometry.floor_steps import FloorPairs
 from ebjax.places.descriptor import Descriptor
-from ebjax.slam.describe import Described, describe
+from ebjax.slam.describe import Described, describe, describe_view
+from ebjax.slam.latest import Latest
 from ebjax.slam.packed import floor_of, landmarks_of, view_of
 from ebjax.slam.store import Shelf
-from ebjax.slam.told import Pair, Told
+from ebjax.slam.told import Ends, Told
 from ebjax.views.floor_view import view_taps
 from ebjax.views.run_view import RunView, remounted_view
 from ebjax.views.tilted import tilted
 
-LANDMARKS, PAIRS = 256, 1024
-"""Keyframes and pairs that are held unpacked: about 60 and 25 MB; others are read and verified again."""
+LANDMARKS, PAIRS = 512, 1024
+"""Keyframes and pairs that are held unpacked: about 120 and 25 MB; others are read and verified again."""
+TOGETHER = 8
+"""Pairs that are verified at a time."""
 _taps = jax.jit(view_taps)
+_pool = ThreadPoolExecutor(2)
 
 
 class Eyes:
@@ -63,6 +68,10 @@ class Eyes:
         view, camera = tilted(self.view, self.camera, level_from_base)
         return describing(_taps(view, camera), view, camera).levelled(self.view, self.camera)
 
+    def describe_view(self, shown: UInt8[np.ndarray, "h w 3"], floor: Bool[np.ndarray, "h w"]) -> Described:
+        """Describes a floor view that was kept, RGB, and what of it is floor; no depth is known of it."""
+        return describe_view(shown, floor, self.view, self.camera, extractor=self.extractor, descriptor=self.descriptor)
+
 
 class Looked:
     """Packed keyframes, unpacked and verified when asked for.
@@ -71,7 +80,7 @@ class Looked:
       store: of the packed ones.
       view: of the run.
       camera: as it is believed to be mounted.
-      told: what every pair that was verified gave, in few numbers.
+      told: what every pair that was verified gave, in few numbers, by its later keyframe.
     """
 
     def __init__(
@@ -79,9 +88,9 @@ class Looked:
     ):
         self.store, self.view, self.camera = store, view, camera
         self._turn, self._tolerance_m, self._seed = turn, tolerance_m, seed
-        self._landmarks: OrderedDict[tuple[int, bool], Landmarks] = OrderedDict()
-        self._pairs: OrderedDict[Pair, VerifiedPair] = OrderedDict()
-        self.told: dict[Pair, Told] = {}
+        self._landmarks: Latest[tuple[int, bool], Landmarks] = Latest(LANDMARKS)
+        self._pairs: Latest[tuple[int, int, bool], VerifiedPair] = Latest(PAIRS)
+        self.told: defaultdict[int, dict[Ends, Told]] = defaultdict(dict)
 
     def under(self, camera: Camera) -> "Looked":
         """The same keyframes under another mount of the camera."""
@@ -100,10 +109,10 @@ class Looked:
 
     def landmarks(self, row: int, facing: bool = False) -> Landmarks:
         """The features of a keyframe; those of its view turned by pi where `facing`."""
-        return _remembered(self._landmarks, (row, facing), LANDMARKS, partial(self._unpacked, row, facing))
-
-    def _unpacked(self, row: int, facing: bool) -> Landmarks:
-        return landmarks_of(self.store.arrays(row), self.view, self.camera, self._turn, facing)
+        if (row, facing) not in self._landmarks:
+            kept = self.store.arrays(row)
+            self._landmarks[row, facing] = landmarks_of(kept, self.view, self.camera, self._turn, facing)
+        return self._landmarks[row, facing]
 
     def stacked_landmarks(self, rows: Sequence[int] | Int[np.ndarray, " n"]) -> Landmarks:
         """Of several keyframes."""
@@ -112,12 +121,21 @@ class Looked:
 
     def pair(self, i: int, j: int, opposing: bool) -> VerifiedPair:
         """What two keyframes have in common, i the later."""
-        return _remembered(self._pairs, (i, j, opposing), PAIRS, partial(self._verified, i, j, opposing))
+        return self._verified([(i, j, opposing)])[0]
 
-    def _verified(self, i: int, j: int, opposing: bool) -> VerifiedPair:
-        ends = self.landmarks(i), self.landmarks(j, opposing)
-        found = verify_pair(*ends, pair_numbers(self._seed, i, j, opposing), self.view, self.camera, self._tolerance_m)
-        return jax.tree.map(np.asarray, found)
+    def _verified(self, ends: Sequence[tuple[int, int, bool]]) -> list[VerifiedPair]:
+        """A few pairs, side by side: one by itself leaves cores idle."""
+        known = {end: self._pairs[end] for end in ends if end in self._pairs}
+        begun = {end: _pool.submit(self._ready(*end)) for end in ends if end not in known}
+        for end, waited in begun.items():
+            self._pairs[end] = known[end] = waited.result()
+        return [known[end] for end in ends]
+
+    def _ready(self, i: int, j: int, opposing: bool) -> Callable[[], VerifiedPair]:
+        """What verifies two keyframes, wherever it is called."""
+        ends, numbers = (self.landmarks(i), self.landmarks(j, opposing)), pair_numbers(self._seed, i, j, opposing)
+        given = numbers, self.view, self.camera, self._tolerance_m
+        return lambda: jax.tree.map(np.asarray, verify_pair(*ends, *given))
 
     def pairs(
         self,
@@ -129,18 +147,22 @@ class Looked:
         """Many of them; rows count from `since` on."""
         ways = np.zeros(len(i), bool) if opposing is None else opposing
         ends = list(zip((i + since).tolist(), (j + since).tolist(), ways.tolist(), strict=True))
-        told = [self.told[end] if end in self.told else self._tell(end) for end in ends]
+        told = self._told(ends)
 
         def matches(rows: Int[np.ndarray, " n"]) -> PairMatches:
-            return jax.tree.map(lambda *leaves: np.stack(leaves), *(self.pair(*ends[k]).matches for k in rows.tolist()))
+            found = self._verified([ends[k] for k in rows.tolist()])
+            return jax.tree.map(lambda *leaves: np.stack(leaves), *(one.matches for one in found))
 
         inliers, total = np.array([one[:2] for one in told], int).reshape(-1, 2).T
-        return FloorPairs(i, j, inliers, total, matches, stacked(one[2] for one in told))
+        return FloorPairs(i, j, inliers, total, matches, stacked(one.settled for one in told))
 
-    def _tell(self, end: Pair) -> Told:
-        found = self.pair(*end)
-        self.told[end] = int(found.verified.count), int(found.verified.total), found.settled
-        return self.told[end]
+    def _told(self, ends: list[tuple[int, int, bool]]) -> list[Told]:
+        lacking = [(i, j, opposing) for i, j, opposing in ends if (j, opposing) not in self.told[i]]
+        for first in range(0, len(lacking), TOGETHER):
+            some = lacking[first : first + TOGETHER]
+            for (i, j, opposing), found in zip(some, self._verified(some), strict=True):
+                self.told[i][j, opposing] = Told.of(found)
+        return [self.told[i][j, opposing] for i, j, opposing in ends]
 
 
 class Views(Sequence):
@@ -156,13 +178,3 @@ class Views(Sequence):
     def __getitem__(self, k):
         """The floor view of the k-th."""
         return self._looked.seen(int(self._rows[k]))
-
-
-def _remembered(cache: OrderedDict, key, most: int, make: Callable):
-    if key in cache:
-        cache.move_to_end(key)
-        return cache[key]
-    cache[key] = found = make()
-    if len(cache) > most:
-        cache.popitem(last=False)
-    return found

@@ -6,10 +6,11 @@ import numpy as np
 
 from ebjax.geometry.planar import between
 from ebjax.posegraph.graph import PoseGraph, make_graph
-from ebjax.slam.believe import Measured, Walked
 from ebjax.slam.engine import Engine
 from ebjax.slam.join import joined
+from ebjax.slam.measured import Measured
 from ebjax.slam.path import SYSTEMATIC, Path
+from ebjax.slam.walked import Walked
 
 
 class MapPath:

@@ -34,6 +34,12 @@ def packed(one: Described) -> dict[str, np.ndarray]:
         "grey": _encoded(".png", np.asarray(one.landmarks.grey), cv2.IMWRITE_PNG_COMPRESSION, PNG_COMPRESSION),
         "floor": _encoded(".png", floor.astype(np.uint8) * 255, cv2.IMWRITE_PNG_BILEVEL, 1),
     }
+    return kept | packed_features(one)
+
+
+def packed_features(one: Described) -> dict[str, np.ndarray]:
+    """The features of a described frame, and those of its view turned by pi where that was looked at by itself."""
+    kept: dict[str, np.ndarray] = {}
     for name, landmarks in ((FEATURES, one.landmarks), (TURNED, one.turned)):
         if landmarks is not None:
             kept |= {f"{name}.{key}": value for key, value in _features(landmarks).items()}

@@ -10,7 +10,7 @@ from ebjax.odometry.chain import Edges
 from ebjax.odometry.motion import Motion
 from ebjax.odometry.wheels import WheelErrors
 from ebjax.posegraph.graph import PoseGraph, make_graph
-from ebjax.slam.believe import Measured
+from ebjax.slam.measured import Measured
 
 SYSTEMATIC = 4.0
 """What steps share (a corner's bias, the rest of the tilt) adds up straight, not as a random walk: what a closure may

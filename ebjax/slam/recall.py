@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ebjax.slam.believe import Walked
 from ebjax.slam.config import PipelineConfig
 from ebjax.slam.gate import plausible
+from ebjax.slam.walked import Walked
 from ebjax.views.run_view import RunView
 
 

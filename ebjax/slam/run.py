@@ -10,9 +10,10 @@ from ebjax.geometry.camera import Camera
 from ebjax.odometry.motion import Motion
 from ebjax.posegraph.graph import PoseGraph
 from ebjax.posegraph.levenberg import Solution
-from ebjax.slam.believe import KEPT, Measured
+from ebjax.slam.believe import KEPT
 from ebjax.slam.lean import Lean
 from ebjax.slam.look import Looked
+from ebjax.slam.measured import Measured
 from ebjax.slam.path import Path
 from ebjax.slam.recall import Alike
 from ebjax.views.run_view import RunView
@@ -84,6 +85,19 @@ class Run:
     earlier: Earlier
     lean: Lean | None = None
     followed: tuple[int, int] | None = None
+
+    def __repr__(self) -> str:
+        kept = self.kept
+        facing = int((kept & self.candidates.opposing).sum())
+        return (
+            f"Run({len(self.poses)} frames, {len(self.keyframes)} looked at, {kept.sum()} of {len(kept)} candidates "
+            f"kept, {facing} from opposing views)"
+        )
+
+    @property
+    def closures(self) -> Measured:
+        """The candidates that became loop closures."""
+        return self.candidates.rows(self.kept)
 
     @property
     def kept(self) -> Bool[np.ndarray, " K"]:

@@ -24,6 +24,7 @@ from ebjax.geometry.camera import OUTSIDE_PX, Camera, FloorView, ideal_from_raw,
 from ebjax.geometry.homography import adjugate, apply
 from ebjax.geometry.mount import Mounting, remounted
 from ebjax.geometry.optics import Optics, with_optics
+from ebjax.geometry.pytree import pytree
 from ebjax.geometry.rigid import kabsch
 from ebjax.places.vlad import centred, netvlad
 from ebjax.posegraph.graph import PoseGraph
@@ -34,9 +35,7 @@ from ebjax.views.floor_view import floor_view, view_taps
 from ebjax.views.run_view import RunView
 
 
-@typing.no_type_check
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
+@pytree
 class Words:
     """NetVLAD's centres, soft assignment and its bias, and tau, the distance at which a loop is believed by half."""
 
@@ -46,9 +45,7 @@ class Words:
     threshold: Float[Array, ""]
 
 
-@typing.no_type_check
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
+@pytree
 class Parameters:
     """All that can be tuned: `backbone` are the weights of the look, None for rootSIFT; None keeps the optics."""
 
@@ -58,9 +55,7 @@ class Parameters:
     optics: Optics | None = None
 
 
-@typing.no_type_check
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
+@pytree
 class SoftRun:
     """A run's frames: grey images in [0, 1], times (s), odometry as a chain (m, rad), the camera as it is believed.
 
@@ -74,9 +69,7 @@ class SoftRun:
     truth: Float[Array, "N 2"]
 
 
-@typing.no_type_check
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
+@pytree
 class Points:
     """The raw image points that are described (px), which count, and which pixels of the floor view are seen."""
 
@@ -85,9 +78,7 @@ class Points:
     seen: Float[Array, "h w"]
 
 
-@typing.no_type_check
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
+@pytree
 class Pairs:
     """Views that are compared: i, an earlier j, whether they face each other; and the pose graph's structure."""
 

@@ -17,7 +17,7 @@ from ebjax.places.descriptor_map import MIN_SUPPORT
 from ebjax.places.retrieve import comparable, shortlist
 from ebjax.posegraph.graph import PoseGraph, make_graph
 from ebjax.posegraph.linear import analyse
-from ebjax.slam.believe import Measured
+from ebjax.slam.measured import Measured
 from ebjax.slam.path import path_of_wheels
 from ebjax.slam.soft import (
     Pairs,

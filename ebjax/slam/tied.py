@@ -14,8 +14,10 @@ from ebjax.odometry.causal import LOST
 from ebjax.posegraph.graph import make_graph
 from ebjax.posegraph.lm import solve
 from ebjax.posegraph.marginals import marginals
-from ebjax.slam.believe import THINNED, Belief, BeliefConfig, Measured, Walked, alone_reasons, best_per_stretch
+from ebjax.slam.believe import Belief, BeliefConfig, alone_reasons
 from ebjax.slam.join import joined
+from ebjax.slam.measured import Measured
+from ebjax.slam.walked import Walked
 
 KERNEL, STEPS = "cauchy", 20
 
@@ -60,17 +62,9 @@ def believed(closures: Measured, stretch: Stretch, settled: Settled, config: Bel
       config: see there.
     """
     rows, walked = _side_by_side(closures, stretch, settled)
-    reasons = alone_reasons(rows, walked, config)
-    alive = np.flatnonzero(reasons == "")
-    quality = closures.inliers**2 / np.maximum(closures.total, 1)
-    best = best_per_stretch(stretch.travelled[closures.i[alive]], quality[alive], config.spacing_m)
-    reasons[alive[~best]] = THINNED
-    alive = alive[best]
-    if len(alive):
-        belief = Belief(dataclasses.replace(config, spacing_m=0.0))
-        belief.update(rows.rows(alive), walked)
-        reasons[alive] = belief.reasons
-    return reasons
+    belief = Belief(config)
+    belief.update(rows, walked)
+    return belief.reasons
 
 
 def measured_well(closures: Measured, config: BeliefConfig) -> Bool[np.ndarray, " K"]:
@@ -92,6 +86,7 @@ def _side_by_side(closures: Measured, stretch: Stretch, settled: Settled) -> tup
         np.concatenate([poses, stretch.poses]),
         np.concatenate([known, *gap, stretch.steps]),
         np.repeat([0, 1], [len(named), len(stretch.poses)]),
+        np.concatenate([np.zeros(len(named)), stretch.travelled]),
     )
     return dataclasses.replace(closures, i=closures.i + len(named), j=j), walked
 

@@ -1,53 +1,68 @@
 """What was measured when a keyframe came, as arrays beside its picture: enough to go on from there to the same bits."""
 
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from ebjax.features.measure import LoopMeasurement
-from ebjax.features.verify_pairs import Settled
+from ebjax.features.verify_pairs import Settled, VerifiedPair
 from ebjax.odometry.steps import Steps
 from ebjax.slam.packed import Arrays
 
-Pair = tuple[int, int, bool]
-Told = tuple[int, int, Settled]
-"""Agreeing matches, putative ones, and the motion that they settle on."""
+Ends = tuple[int, bool]
+"""Of a pair, beside its later keyframe: the earlier one, and whether they face each other."""
+PARTS = ("i_from_j", "covariance", "residual_m")
 
 
-def packed_pairs(row: int, pairs: dict[Pair, Told]) -> dict[str, np.ndarray]:
-    """The pairs whose later keyframe is `row`."""
-    mine = [(j, opposing, *told) for (i, j, opposing), told in pairs.items() if i == row]
+class Told(NamedTuple):
+    """What verifying a pair gave: agreeing matches, putative ones, those with depth, the motion by floor and by depth.
 
-    def column(pick: Any, dtype: Any = float) -> np.ndarray:
-        return np.array([pick(one) for one in mine], dtype)
+    Each motion is a row: `i_from_j`, `covariance`, `residual_m`.
+    """
 
-    kept = {
-        "pairs.j": column(lambda one: one[0], np.int64),
-        "pairs.opposing": column(lambda one: one[1], bool),
-        "pairs.counts": column(lambda one: one[2:4], np.int64).reshape(-1, 2),
-        "pairs.with_depth": column(lambda one: one[4].with_depth, np.int64),
+    inliers: int
+    total: int
+    with_depth: int
+    motions: Float[np.ndarray, "2 13"]
+
+    @classmethod
+    def of(cls, found: VerifiedPair) -> "Told":
+        """Of a pair that was verified."""
+        settled = found.settled
+        rows = [[np.ravel(getattr(way, part)) for part in PARTS] for way in (settled.floor, settled.depth)]
+        motions = np.array([np.concatenate(row) for row in rows], float)
+        return cls(int(found.verified.count), int(found.verified.total), int(settled.with_depth), motions)
+
+    @property
+    def settled(self) -> Settled:
+        """The motions again."""
+        floor, depth = (LoopMeasurement(row[:3], row[3:12].reshape(3, 3), row[12]) for row in self.motions)
+        return Settled(floor, depth, np.asarray(self.with_depth))  # type: ignore[arg-type]
+
+
+def packed_pairs(pairs: dict[Ends, Told]) -> dict[str, np.ndarray]:
+    """Of a keyframe the pairs of which it is the later one."""
+    ends, told = list(pairs), list(pairs.values())
+    motions = np.array([one.motions for one in told], float).reshape(-1, 2, 13)
+    return {
+        "pairs.j": np.array([j for j, _ in ends], np.int64),
+        "pairs.opposing": np.array([opposing for _, opposing in ends], bool),
+        "pairs.counts": np.array([one[:2] for one in told], np.int64).reshape(-1, 2),
+        "pairs.with_depth": np.array([one.with_depth for one in told], np.int64),
+        "pairs.floor": motions[:, 0].copy(),
+        "pairs.depth": motions[:, 1].copy(),
     }
-    for name in ("floor", "depth"):
-        kept[f"pairs.{name}"] = column(
-            lambda one, name=name: np.concatenate([
-                np.ravel(getattr(getattr(one[4], name), part)) for part in ("i_from_j", "covariance", "residual_m")
-            ])
-        ).reshape(-1, 13)  # fmt: skip
-    return kept
 
 
-def unpacked_pairs(row: int, kept: Arrays) -> dict[Pair, Told]:
+def unpacked_pairs(kept: Arrays) -> dict[Ends, Told]:
     """The same again."""
-    found: dict[Pair, Told] = {}
-    for k in range(len(kept["pairs.j"])):
-        floor, depth = (
-            LoopMeasurement(values[:3], values[3:12].reshape(3, 3), values[12])
-            for values in (kept["pairs.floor"][k], kept["pairs.depth"][k])
-        )
-        end = row, int(kept["pairs.j"][k]), bool(kept["pairs.opposing"][k])
-        inliers, total = kept["pairs.counts"][k].tolist()
-        found[end] = inliers, total, Settled(floor, depth, kept["pairs.with_depth"][k])
-    return found
+    ends = zip(kept["pairs.j"].tolist(), kept["pairs.opposing"].tolist(), strict=True)
+    # Copies: an array of a map's file holds on to all that is kept of its keyframe.
+    motions = np.stack([kept["pairs.floor"], kept["pairs.depth"]], 1)
+    counts = zip(kept["pairs.counts"].tolist(), kept["pairs.with_depth"].tolist(), motions, strict=True)
+    told = [Told(inliers, total, deep, both.copy()) for (inliers, total), deep, both in counts]
+    return dict(zip(ends, told, strict=True))
 
 
 def packed_steps(steps: Steps) -> dict[str, np.ndarray]:

@@ -21,7 +21,8 @@ from ebjax.odometry.partners import REACH, partners_of_last
 from ebjax.odometry.steps import Steps, joined, no_steps
 from ebjax.places.descriptor import descriptor
 from ebjax.places.place import placing
-from ebjax.slam.believe import Walked
+from ebjax.slam.ahead import Ahead
+from ebjax.slam.check_frame import check_frame
 from ebjax.slam.config import PipelineConfig
 from ebjax.slam.follow import Follower, LastFrames
 from ebjax.slam.frame import Frame
@@ -32,6 +33,7 @@ from ebjax.slam.path import SYSTEMATIC
 from ebjax.slam.recording import Recording
 from ebjax.slam.store import Between, InMemory, Shelf, Store, WithNewest
 from ebjax.slam.table import Table
+from ebjax.slam.walked import Walked
 from ebjax.views.run_view import RunView, choose_floor, from_camera
 
 Remember = Callable[[str, Path | None], Callable[[Callable], Callable]]
@@ -85,10 +87,12 @@ class Walker:
         pieces = [self.store.piece(row) for row in range(len(self.store))]
         self.start = sum(piece != self.store.current for piece in pieces)
         self.chain = Causal(self.config.odometry)
+        self._path = Walked(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(0, int))
         self.bridged: list[Steps] = []
         self.follower: Follower | None = None
         self._steps = no_steps()
-        self._images: dict[int, tuple[np.ndarray, np.ndarray | None]] = {}
+        self._images: dict[int, Frame] = {}
+        self._ahead = Ahead()
         self._corners: dict[int, ImageFeatures] = {}
         self._asked: np.ndarray | None = None
         self._between: list[Between] = []
@@ -100,7 +104,10 @@ class Walker:
     @property
     def path(self) -> Walked:
         """Of the keyframes before any closure."""
-        return Walked(self.chain.poses, SYSTEMATIC * self.chain.covariance, self.keyframes.piece)
+        piece = self.keyframes.piece
+        if len(self._path.piece) != len(piece):
+            self._path = self._path.gone_on(self.chain.poses, SYSTEMATIC * self.chain.covariance, piece)
+        return self._path
 
     def due(self, frame: Frame) -> tuple[int, list[tuple[int, Arrays]]]:
         """Takes the next frame: its number, and the frames that are keyframes now, it or the one before, looked at.
@@ -110,23 +117,31 @@ class Walker:
             where the ones before had none or the other way round.
         """
         number = self._checked(frame)
-        level = used(self.lean)
         due: list[tuple[int, Arrays]] = []
         if self.follower is not None:
             if frame.rgb is None:
                 self.broken.append(number)
             else:
-                kept = self._seen(frame, None if level is None else level[number])
+                kept = self._ahead.take("seen", number, frame, self._seen)
                 numbers = self.follower.add(number, frame.stamp_s, kept)
                 due = [(one, self.follower.kept(one)) for one in numbers]
         elif self._moved(frame.odom_from_base):
             if frame.rgb is None:
                 self.broken.append(number)
             else:
-                due = [(number, self._seen(frame, None if level is None else level[number]))]
+                due = [(number, self._ahead.take("seen", number, frame, self._seen))]
         if frame.rgb is not None:
-            self._images[number] = frame.rgb, frame.depth_m
+            self._images[number] = frame
+        self._ahead.forget(number - 1)
         return number, due
+
+    def expect(self, number: int, frame: Frame) -> None:
+        """Begins to look at a frame that will be added under that number; what comes out is the same without."""
+        if frame.rgb is not None:
+            self._ahead.begin("seen", number, frame, self._seen)
+            if self._corners:
+                # The floor told nothing of the last step: a turn, and it is not over.
+                self._ahead.begin("corners", number, frame, self._find_corners)
 
     def passed(self, frame: Frame, number: int, keyframe: bool) -> None:
         """Lets go of images that no step needs any more, and notes where a frame is that is no keyframe."""
@@ -136,34 +151,10 @@ class Walker:
             self._between.append(Between(number, frame.stamp_s, frame.name, self._from_keyframe()))
 
     def _checked(self, frame: Frame) -> int:
-        config, camera = self.config, self.camera
-        if len(self.frames) and frame.stamp_s <= self.frames.stamp_s[-1]:
-            raise ValueError(
-                f"frame {frame.name or len(self.frames)} at {frame.stamp_s:.6f} s is not later than the one before, at "
-                f"{self.frames.stamp_s[-1]:.6f} s; give the frames in the order of their times"
-            )
-        if frame.rgb is not None and frame.rgb.shape != (camera.height, camera.width, 3):
-            raise ValueError(
-                f"frame {frame.name or len(self.frames)} is an image of shape {frame.rgb.shape}, the camera's are "
-                f"{(camera.height, camera.width, 3)}"
-            )
-        if frame.rgb is not None and frame.rgb.dtype != np.uint8:
-            raise ValueError(f"frame {frame.name or len(self.frames)} is of {frame.rgb.dtype}; give uint8, RGB")
-        if frame.depth_m is not None and frame.depth_m.shape != (camera.height, camera.width):
-            raise ValueError(
-                f"frame {frame.name or len(self.frames)} has depth of shape {frame.depth_m.shape}, the camera's images "
-                f"are {(camera.height, camera.width)}"
-            )
-        wheels = frame.odom_from_base
-        if not np.isfinite([frame.stamp_s, *([] if wheels is None else wheels)]).all():
-            raise ValueError(f"frame {frame.name or len(self.frames)} has a time or odometry that is not finite")
-        if not len(self.frames):
-            if wheels is None and config.motion not in (None, "floor"):
-                raise ValueError(f"--motion {config.motion} needs odometry; run with --motion floor")
-            if self.follower is None and (wheels is None or config.motion == "floor"):
-                self._follow()
-        elif (wheels is None) != bool(np.isnan(self.frames.odom[-1, 0])):
-            raise ValueError(f"frame {frame.name or len(self.frames)}: some frames have odometry and some have none")
+        before = (float(self.frames.stamp_s[-1]), not np.isnan(self.frames.odom[-1, 0])) if len(self.frames) else None
+        check_frame(frame, len(self.frames), self.camera, self.config.motion, before)
+        if before is None and self.follower is None and (frame.odom_from_base is None or self.config.motion == "floor"):
+            self._follow()
         return self._noted(frame)
 
     def _noted(self, frame: Frame) -> int:
@@ -189,9 +180,10 @@ class Walker:
         self._asked = np.asarray(odom, float)
         return True
 
-    def _seen(self, frame: Frame, level: Float[np.ndarray, "4 4"] | None) -> Arrays:
+    def _seen(self, number: int, frame: Frame) -> Arrays:
         assert frame.rgb is not None
-        described = self.eyes.describe(frame.rgb, frame.depth_m, level)
+        level = used(self.lean)
+        described = self.eyes.describe(frame.rgb, frame.depth_m, None if level is None else level[number])
         described = jax.tree.map(np.asarray, described)
         return packed(described) | packed_place(self._place(described.place))
 
@@ -231,31 +223,41 @@ class Walker:
             j = first + partners_of_last(self.view, self._way(first))
             pairs = self.looked.pairs(np.full(len(j), row), j)
             steps = table_of(pairs, self.camera, self.config.tolerance_m)
-            if not (steps.used & (steps.j == row - 1)).any():
+            if (steps.used & (steps.j == row - 1)).any():
+                self._corners = {}
+            else:
                 steps = joined([steps, self._bridge(row, stamp_s, counted)])
         self._steps = steps
         self.chain.go_on(stamp_s, steps, counted)
 
     def _bridge(self, row: int, stamp_s: float, wheels: Float[np.ndarray, "2 3"] | None) -> Steps:
         numbers = self.keyframes.frame[[row, row - 1]].tolist()
+        later, earlier = (self._corners_of(number) for number in numbers)
+        self._corners = {} if later is None else {numbers[0]: later}
+        if later is None or earlier is None:
+            return no_steps()
+        return step_of(
+            row, row - 1, later, earlier, self.camera, wheels, self.chain.expected(stamp_s), self.config.odometry
+        )
+
+    def _corners_of(self, number: int) -> ImageFeatures | None:
+        """Of the whole image of a keyframe; None where it is not at hand."""
+        if number in self._corners:
+            return self._corners[number]
+        frame = self._images.get(number)
+        if frame is None:
+            images = None if self.recording is None else self.recording.load(number)
+            if images is None:
+                return None
+            frame = Frame(0.0, *images)
+        return self._ahead.take("corners", number, frame, self._find_corners)
+
+    def _find_corners(self, number: int, frame: Frame) -> ImageFeatures:
+        assert frame.rgb is not None
         level = image_level(self.lean)
         seen = None if self.recording is None or self.recording.ignored is None else ~self.recording.ignored
-        corners = []
-        for number in numbers:
-            found = self._corners.get(number)
-            if found is None:
-                image = self._image(number)
-                if image is None:
-                    return no_steps()
-                found = image_corners(*image, self.camera, seen, None if level is None else level[number])
-            corners.append(found)
-        self._corners = {numbers[0]: corners[0]}
-        guess = self.chain.expected(stamp_s)
-        return step_of(row, row - 1, corners[0], corners[1], self.camera, wheels, guess, self.config.odometry)
-
-    def _image(self, number: int) -> tuple[np.ndarray, np.ndarray | None] | None:
-        again = None if self.recording is None else self.recording.load
-        return self._images[number] if number in self._images else None if again is None else again(number)
+        leant = None if level is None else level[number]
+        return image_corners(frame.rgb, frame.depth_m, self.camera, seen, leant)
 
     @property
     def numbers(self) -> Int[np.ndarray, " n"]:

@@ -4,8 +4,6 @@ A match is two pixels of raw images, so that it depends neither on how the camer
 views in which it was found do, and only have to be good enough to match.
 """
 
-import dataclasses
-import typing
 from collections.abc import Callable
 
 import jax
@@ -16,6 +14,7 @@ from jaxtyping import Array, Float, Int
 from ebjax.features.matching import Features, mutual_nearest
 from ebjax.features.upright import extract
 from ebjax.geometry.camera import Camera
+from ebjax.geometry.pytree import pytree
 from ebjax.odometry.wheels import WheelErrors
 from ebjax.train.calibrate_floor import raw_keypoints
 from ebjax.views.floor_view import floor_view, view_taps
@@ -32,9 +31,7 @@ _PAIRS_A_CALL = 32
 Load = Callable[[int], np.ndarray | None]
 
 
-@typing.no_type_check
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
+@pytree
 class FloorPairs:
     """P pairs of frames with K matches each; the later frame of a pair comes second.
 

@@ -5,7 +5,6 @@ scale; with `from_quad` (the paper's way) four points say what the view shows, a
 """
 
 import dataclasses
-import typing
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +22,7 @@ from ebjax.geometry.camera import (
     raw_from_ideal,
 )
 from ebjax.geometry.homography import apply, from_four_points, orient
+from ebjax.geometry.pytree import pytree
 
 MAX_GROUND_SAMPLE_M = 0.025
 """Farther floor, where one image pixel covers more than this along the view, adds blur and no detail."""
@@ -36,9 +36,7 @@ IGNORED_MARGIN_PX = 2
 LEAST_SEEN = 0.1
 
 
-@typing.no_type_check
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
+@pytree
 class RunView:
     """The floor view of a run: view pixel -> ideal image pixel, -> floor in base (m), and what is seen."""
 

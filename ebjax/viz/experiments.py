@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from ebjax.viz.figures import AFTER, BEFORE, LOOP, TRUTH, _figure, _png
+from ebjax.viz.figures import AFTER, BEFORE, LOOP, TRUTH, new_figure, painted
 
 COLOURS = (BEFORE, LOOP, "#5b5ea6", AFTER, "#7a4988", TRUTH, "#2f6f3e", "#b00020", "#3b3b3b", "#2b9eb3")
 
@@ -17,7 +17,7 @@ def image_grid(rows: Mapping[str, Sequence[UInt8[np.ndarray, "_ _ 3"]]], columns
       rows: name -> as many RGB images as there are columns; any sizes.
       columns: what each column shows.
     """
-    figure = _figure(2.4 * len(columns), 1.95 * len(rows) + 0.3)
+    figure = new_figure(2.4 * len(columns), 1.95 * len(rows) + 0.3)
     grid = figure.subplots(len(rows), len(columns), squeeze=False)
     for axes_row, (name, images) in zip(grid, rows.items(), strict=True):
         for axes, image in zip(axes_row, images, strict=True):
@@ -28,7 +28,7 @@ def image_grid(rows: Mapping[str, Sequence[UInt8[np.ndarray, "_ _ 3"]]], columns
         axes_row[0].set_ylabel(name, fontsize=10)
     for axes, title in zip(grid[0], columns, strict=True):
         axes.set_title(title, fontsize=10)
-    return _png(figure)
+    return painted(figure)
 
 
 def precision_over_recall(
@@ -37,7 +37,7 @@ def precision_over_recall(
     """Draws a panel a name, in it a curve a label: (recall, precision)."""
     across = min(4, len(panels))
     down = -(-len(panels) // across)
-    figure = _figure(max(2.9 * across, 7.0), 2.7 * down + 0.5)
+    figure = new_figure(max(2.9 * across, 7.0), 2.7 * down + 0.5)
     grid = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True).ravel()
     labels = list(dict.fromkeys(label for curves in panels.values() for label in curves))
     for axes, (name, curves) in zip(grid, panels.items(), strict=False):
@@ -52,7 +52,7 @@ def precision_over_recall(
     figure.supylabel("precision", fontsize=10)
     handles = {label: line for axes in grid for line in axes.get_lines() if (label := str(line.get_label()))}
     figure.legend(handles.values(), handles.keys(), loc="outside upper center", ncols=6, frameon=False, fontsize=9)
-    return _png(figure)
+    return painted(figure)
 
 
 def over_setting(
@@ -65,7 +65,7 @@ def over_setting(
       setting: its name.
       log: panels with a logarithmic axis.
     """
-    figure = _figure(4.4 * len(panels), 3.4)
+    figure = new_figure(4.4 * len(panels), 3.4)
     labels = list(dict.fromkeys(name for series in panels.values() for name in series))
     for axes, (measure, series) in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels.items(), strict=True):
         values = list(dict.fromkeys(value for points in series.values() for value in points))
@@ -85,7 +85,7 @@ def over_setting(
         axes.grid(color="#e6e8ea", lw=0.6)
         if len(series) > 1 or next(iter(series), ""):
             axes.legend(frameon=False, fontsize=8)
-    return _png(figure)
+    return painted(figure)
 
 
 def _number(text: str) -> float | None:
@@ -103,11 +103,11 @@ def maps(panels: Mapping[str, tuple[UInt8[np.ndarray, "_ _ 4"], tuple[float, flo
     beside = ratio < 2
     down, across = (1, len(panels)) if beside else (len(panels), 1)
     width = 4.2 if beside else 9.0
-    figure = _figure(width * across, down * (width / float(np.clip(ratio, 0.4, 12)) + 0.6))
+    figure = new_figure(width * across, down * (width / float(np.clip(ratio, 0.4, 12)) + 0.6))
     grid = figure.subplots(down, across, squeeze=False).ravel()
     for axes, (name, (image, extent)) in zip(grid, panels.items(), strict=True):
         axes.set_facecolor("#eceff1")
         axes.imshow(image, extent=extent, interpolation="antialiased")
         axes.set(title=name, xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x, m", ylabel="y, m")
         axes.set_aspect("equal")
-    return _png(figure)
+    return painted(figure)

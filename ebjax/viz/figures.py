@@ -47,7 +47,7 @@ def trajectory(
     thin = bool(corrected[0] / corrected[1] > THIN)
 
     heights = [9.0 / np.clip(span[0] / span[1], 1.2, 8.0) + 0.8] + [2.4] * thin + [2.0] * (truth is not None)
-    figure = _figure(9.0, sum(heights))
+    figure = new_figure(9.0, sum(heights))
     axes = list(figure.subplots(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0])
     _draw_paths(axes[0], paths, loops, before_name, after_name)
     axes[0].set(xlabel="along, m", ylabel="across, m")
@@ -63,7 +63,7 @@ def trajectory(
             axes[-1].plot(error, color=colour, lw=1.4, label=f"{name}: rmse {np.sqrt(np.nanmean(error**2)):.3f} m")
         axes[-1].set(xlabel="frame", ylabel="error, m", xlim=(0, max(1, len(before) - 1)), ylim=(0, None))
         axes[-1].legend(frameon=False, fontsize=9)
-    return _png(figure)
+    return painted(figure)
 
 
 def candidates(
@@ -82,7 +82,7 @@ def candidates(
       frames: number of frames of the run.
       similarity: score of every (later, earlier) pair, NaN where not compared; drawn underneath.
     """
-    figure = _figure(6.0, 5.0)
+    figure = new_figure(6.0, 5.0)
     axes = figure.subplots()
     colours: dict[str, Any] = {
         "cmap": "viridis",
@@ -102,7 +102,7 @@ def candidates(
     figure.colorbar(shown, ax=axes, label="score", shrink=0.8)
     if kept.any():
         axes.legend(loc="upper left", fontsize=9)
-    return _png(figure)
+    return painted(figure)
 
 
 def matches(
@@ -137,7 +137,7 @@ def matches(
     canvas[: len(image_b), image_a.shape[1] + gap :] = image_b
     shift = np.array([image_a.shape[1] + gap, 0.0])
 
-    figure = _figure(9.0, 9.0 * canvas.shape[0] / canvas.shape[1] + (0.35 if title else 0.0))
+    figure = new_figure(9.0, 9.0 * canvas.shape[0] / canvas.shape[1] + (0.35 if title else 0.0))
     axes = figure.subplots()
     axes.imshow(canvas, interpolation="antialiased")
     chosen = np.flatnonzero(inliers)
@@ -152,7 +152,7 @@ def matches(
     axes.set_axis_off()
     if title:
         axes.set_title(title, fontsize=10, parse_math=False)
-    return _png(figure)
+    return painted(figure)
 
 
 def floor_map(
@@ -170,7 +170,7 @@ def floor_map(
       closures: frame indices of the kept loops.
     """
     ratio = (extent[1] - extent[0]) / (extent[3] - extent[2])
-    figure = _figure(9.0, 9.0 / np.clip(ratio, 0.8, 8.0) + 0.6)
+    figure = new_figure(9.0, 9.0 / np.clip(ratio, 0.8, 8.0) + 0.6)
     axes = figure.subplots()
     axes.set_facecolor("#eceff1")
     axes.imshow(image, extent=extent, interpolation="antialiased")
@@ -180,7 +180,7 @@ def floor_map(
             axes.plot(*path[pair].T, color=LOOP, lw=0.8)
     axes.set(xlabel="x, m", ylabel="y, m", xlim=extent[:2], ylim=extent[2:])
     axes.set_aspect("equal")
-    return _png(figure)
+    return painted(figure)
 
 
 def _draw_paths(
@@ -226,7 +226,8 @@ def _rainbow(i: Shaped[np.ndarray, ""] | np.integer, count: int) -> tuple[float,
     return colormaps["turbo"](0.1 + 0.8 * ((int(i) * 0.618) % 1.0 if count > 1 else 0.5))
 
 
-def _figure(width_in: float, height_in: float) -> "Figure":
+def new_figure(width_in: float, height_in: float) -> "Figure":
+    """An empty one, without a window."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -235,7 +236,8 @@ def _figure(width_in: float, height_in: float) -> "Figure":
     return figure
 
 
-def _png(figure: "Figure") -> bytes:
+def painted(figure: "Figure") -> bytes:
+    """As a PNG."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": None})
     return buffer.getvalue()
@@ -243,7 +245,7 @@ def _png(figure: "Figure") -> bytes:
 
 def pose_graph(graph: PoseGraph, optimised: Float[np.ndarray, "N P"]) -> bytes:
     """Draws a pose graph from above, before and after: the path through its rows, and the edges that are not steps."""
-    figure = _figure(11.0, 5.2)
+    figure = new_figure(11.0, 5.2)
     i, j = np.asarray(graph.i), np.asarray(graph.j)
     loops = np.flatnonzero(np.abs(i - j) != 1)
     for axes, poses, name in zip(figure.subplots(1, 2), (graph.poses, optimised), ("before", "after"), strict=True):
@@ -254,7 +256,7 @@ def pose_graph(graph: PoseGraph, optimised: Float[np.ndarray, "N P"]) -> bytes:
         axes.set(title=name, xlabel="x, m", ylabel="y, m")
         axes.set_aspect("equal", "datalim")
         axes.legend(frameon=False, fontsize=9)
-    return _png(figure)
+    return painted(figure)
 
 
 def through_turn(
@@ -270,7 +272,7 @@ def through_turn(
       read: by name, keypoints (x, y) in the image and where the turned image puts them, px.
       title: above the image.
     """
-    figure = _figure(11.0, 5.4)
+    figure = new_figure(11.0, 5.4)
     shown, axes = figure.subplots(1, 2)
     shown.imshow(image)
     for (name, (here, there)), colour in zip(read.items(), (AFTER, BEFORE), strict=False):
@@ -286,4 +288,4 @@ def through_turn(
     axes.set(xlabel="x read through the turn, minus x, px", ylabel="y, px", xlim=(-6, 6), ylim=(-6, 6))
     axes.set_aspect("equal")
     axes.legend(frameon=False, fontsize=9, loc="upper left")
-    return _png(figure)
+    return painted(figure)

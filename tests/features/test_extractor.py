@@ -60,7 +60,6 @@ def test_unknown_extractor_lists_the_known():
 def test_missing_package_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "mahotas.features.surf", None)
     monkeypatch.delitem(sys.modules, "ebjax.features.surf", raising=False)
-    extractor.cache_clear()
     with pytest.raises(ValueError, match=r'^surf needs mahotas.*: pip install "ebjax\[surf\]"$'):
         extractor("surf")
 

@@ -1,7 +1,6 @@
 import csv
+import functools
 import json
-import subprocess
-import sys
 
 import cv2
 import numpy as np
@@ -16,14 +15,9 @@ QUADS = {
 }
 
 
-def command(*arguments, cwd):
-    return subprocess.run(
-        [sys.executable, "-m", "ebjax.features", *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        cwd=cwd,
-        check=False,
-    )
+@pytest.fixture
+def command(program):
+    return functools.partial(program, "ebjax.features")
 
 
 def transform(h, points):
@@ -36,7 +30,7 @@ def by_input(result, extractor="floornet"):
 
 
 @pytest.mark.parametrize("name", QUADS)
-def test_real_opposing_pairs_match_on_the_turned_floor_only(data, tmp_path, name):
+def test_real_opposing_pairs_match_on_the_turned_floor_only(command, data, tmp_path, name):
     folder = data("opposing_pairs") / name
     images = [next(folder.glob(f"{side}.[pj]*g")) for side in "ab"]
     done = command(*images, "--quad", *QUADS[name], "--out", "out", cwd=tmp_path)
@@ -66,7 +60,7 @@ def written(scene, tmp_path_factory):
     return folder, made
 
 
-def test_metric_floor_and_depth_measure_the_motion_to_millimetres(written, a_from_b):
+def test_metric_floor_and_depth_measure_the_motion_to_millimetres(command, written, a_from_b):
     folder, made = written
     done = command(
         *("a.png", "b.png", "--camera", "camera.json", "--depth-a", "depth_a.png", "--depth-b", "depth_b.png"),
@@ -97,7 +91,7 @@ def test_metric_floor_and_depth_measure_the_motion_to_millimetres(written, a_fro
     assert cv2.imread(str(folder / "metric" / "matches.png")) is not None
 
 
-def test_quad_with_a_camera_is_metric_too(written, a_from_b):
+def test_quad_with_a_camera_is_metric_too(command, written, a_from_b):
     folder, _ = written
     quad = (140, 120, 340, 120, 430, 300, 50, 300)
     done = command("a.png", "b.png", "--camera", "camera.json", "--quad", *quad, "--out", "both", cwd=folder)
@@ -106,7 +100,7 @@ def test_quad_with_a_camera_is_metric_too(written, a_from_b):
     np.testing.assert_allclose([found["x_m"], found["y_m"]], a_from_b[:2], atol=0.005)
 
 
-def test_raw_images_alone_say_that_there_is_no_floor(written):
+def test_raw_images_alone_say_that_there_is_no_floor(command, written):
     folder, _ = written
     done = command("a.png", "b.png", "--out", "raw", cwd=folder)
     assert done.returncode == 0 and "floor views need --camera or --quad" in done.stdout
@@ -133,7 +127,7 @@ def test_raw_images_alone_say_that_there_is_no_floor(written):
         ),
     ],
 )
-def test_bad_input_is_one_line_exit_2_and_no_output(written, tmp_path, arguments, message):
+def test_bad_input_is_one_line_exit_2_and_no_output(command, written, tmp_path, arguments, message):
     folder, made = written
     made.write(tmp_path)
     (tmp_path / "cut.png").write_bytes((folder / "b.png").read_bytes()[:20000])
@@ -146,7 +140,7 @@ def test_bad_input_is_one_line_exit_2_and_no_output(written, tmp_path, arguments
     assert not (tmp_path / "out").exists()
 
 
-def test_all_leaves_out_what_cannot_be_used_and_says_why(written, monkeypatch, tmp_path):
+def test_all_leaves_out_what_cannot_be_used_and_says_why(command, written, monkeypatch, tmp_path):
     folder, _ = written
     monkeypatch.setenv("EBJAX_WEIGHTS", str(tmp_path))
     done = command("a.png", "b.png", "--extractor", "all", "--out", tmp_path / "all", cwd=folder)
@@ -158,7 +152,7 @@ def test_all_leaves_out_what_cannot_be_used_and_says_why(written, monkeypatch, t
     assert all("python -m ebjax.models convert" in line for line in left_out)
 
 
-def test_a_network_without_weights_is_refused(written, monkeypatch, tmp_path):
+def test_a_network_without_weights_is_refused(command, written, monkeypatch, tmp_path):
     folder, _ = written
     monkeypatch.setenv("EBJAX_WEIGHTS", str(tmp_path))
     done = command("a.png", "b.png", "--extractor", "d2net", "--out", tmp_path / "out", cwd=folder)

@@ -83,9 +83,9 @@ def test_networks_refuse_without_their_weights(weights, tmp_path, monkeypatch):
     monkeypatch.setenv("EBJAX_WEIGHTS", str(tmp_path))
     for name in NETWORKS:
         with pytest.raises(ValueError, match=rf"^{name} needs weights, and .*python -m ebjax.models convert .*{name}"):
-            extractor.__wrapped__(name)
+            extractor(name)
     with pytest.raises(ValueError, match=r"weights of d2net, not of alike"):
-        extractor.__wrapped__("alike", weights / "d2net.safetensors")
+        extractor("alike", weights / "d2net.safetensors")
     monkeypatch.setenv("EBJAX_WEIGHTS", str(weights))
     assert locate("alike") == weights / "alike.safetensors" == locate("alike", weights)
     assert locate("alike", weights / "d2net.safetensors") == weights / "d2net.safetensors"

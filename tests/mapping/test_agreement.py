@@ -1,4 +1,5 @@
 import dataclasses
+import json
 import re
 
 import numpy as np
@@ -9,7 +10,7 @@ from ebjax.command import parse
 from ebjax.geometry.camera import FloorView, camera_over_floor
 from ebjax.geometry.lens import lens
 from ebjax.io.map_file.file import MapFile
-from ebjax.mapping.agreement import check_map, in_words, made_with, settings_of
+from ebjax.mapping.agreement import check_map, in_words, made_with, settings_of, with_settings
 from ebjax.slam.config import PipelineConfig
 from ebjax.slam.walker import default_view
 from ebjax.views.run_view import from_camera
@@ -93,3 +94,11 @@ def test_settings_have_the_names_of_their_flags():
     assert {name: in_words(name, found[name]) for name in found if found[name] != usual[name]} == flags
     assert not {"--weights", "--extractor", "--out", "--mount.height-m"} & found.keys()
     assert all(re.fullmatch(r"--[a-z0-9.-]+", name) for name in found)
+
+
+def test_settings_are_taken_up_as_they_were_told():
+    believe = dataclasses.replace(CONFIG.believe, min_inliers=25)
+    was = dataclasses.replace(CONFIG, verify=5, kernel_width=2.0, ranking="cosine", descriptor="hog", believe=believe)
+    told = json.loads(json.dumps(settings_of(was)))
+    assert with_settings(PipelineConfig(), told) == dataclasses.replace(was, ranking="auto", descriptor="floornet")
+    assert with_settings(was, {}) == was

@@ -1,11 +1,13 @@
 import importlib
 
 import numpy as np
+import pytest
 from small_run import assert_same, held
 
 kill = importlib.import_module("kill")
 
 
+@pytest.mark.slow
 def test_killed_at_five_moments_and_gone_on_with(whole, tmp_path):
     path, rng, kept = tmp_path / "a.ebmap", np.random.default_rng(), 0
     for _ in range(5):

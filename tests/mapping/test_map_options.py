@@ -8,6 +8,7 @@ from told_maps import add_session
 
 from ebjax.io.map_file.file import MapFile
 from ebjax.mapping.map_options import MapOptions, check_map_options, look_after
+from ebjax.slam.config import PipelineConfig
 
 
 @pytest.fixture
@@ -21,7 +22,7 @@ def building(tmp_path):
 
 
 def done(path, out=Path("out"), **asked):
-    return look_after(path, MapOptions(map=path, **asked), out, 0.02)
+    return look_after(path, MapOptions(map=path, **asked), out, 0.02, PipelineConfig())
 
 
 @pytest.mark.parametrize(
@@ -31,6 +32,9 @@ def done(path, out=Path("out"), **asked):
         (MapOptions(forget=1), Path("log"), ["--forget is for a map"]),
         (MapOptions(map=Path("m"), export=True, repair=True), None, ["--export and --repair", "one of them at a time"]),
         (MapOptions(map=Path("m"), forget=0, views=False), None, ["--forget and --no-views"]),
+        (MapOptions(map=Path("m"), redescribe=True, repair=True), None, ["--redescribe and --repair"]),
+        (MapOptions(redescribe=True), None, ["--redescribe is for a map", "--map FILE.ebmap"]),
+        (MapOptions(map=Path("m"), redescribe=True), Path("log"), ["--redescribe is for the map alone"]),
         (MapOptions(map=Path("m"), views=False), Path("log"), ["--no-views is for the map alone", "leave log out"]),
         (MapOptions(start=(0.0, 0.0, 0.0)), Path("log"), ["--start X Y HEADING", "give --localise too"]),
         (MapOptions(map=Path("m"), localise=True), None, ["give LOG --map FILE.ebmap --localise"]),
@@ -50,7 +54,7 @@ def test_a_run_with_a_map_or_either_alone_goes(tmp_path):
     check_map_options(MapOptions(map=Path("m"), forget=3), None)
 
 
-@pytest.mark.parametrize("asked", [{}, {"export": True}, {"forget": 1}, {"views": False}])
+@pytest.mark.parametrize("asked", [{}, {"export": True}, {"forget": 1}, {"views": False}, {"redescribe": True}])
 def test_a_map_that_is_not_there_is_named(tmp_path, asked):
     with pytest.raises(ValueError, match=r"there is no such map; a run begins it: python -m ebjax\.slam LOG --map"):
         done(tmp_path / "none.ebmap", **asked)

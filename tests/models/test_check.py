@@ -12,6 +12,7 @@ from ebjax.models.vgg import convert, vgg16
 from ebjax.models.weights import load_into
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("network", REFERENCES)
 def test_every_reference_array_is_reproduced(network, data):
     folder = data("reference")

@@ -1,6 +1,4 @@
 import os
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -19,23 +17,17 @@ class Hostile:
         return os.system, (f"touch {self.path}",)
 
 
-def run(*arguments, cwd):
-    return subprocess.run(
-        [sys.executable, "-m", "ebjax.models", *arguments], capture_output=True, text=True, cwd=cwd, check=False
-    )
-
-
-def test_converts_and_refuses(write_torch, tmp_path):
+def test_converts_and_refuses(program, write_torch, tmp_path):
     published = seeded_state("d2net", 4)
     write_torch(tmp_path / "d2_tf.pth", {"model": published})
-    done = run("convert", "d2_tf.pth", "out/d2net.safetensors", cwd=tmp_path)
+    done = program("ebjax.models", "convert", "d2_tf.pth", "out/d2net.safetensors", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "d2_tf.pth: d2net, 20 arrays, 7,635,264 numbers" in done.stdout
     _, arrays = load_weights(tmp_path / "out" / "d2net.safetensors")
     kernel = published["dense_feature_extraction.model.21.weight"]
     np.testing.assert_array_equal(arrays["conv4_3.kernel"][1, 2], kernel[:, :, 1, 2].T)
     write_torch(tmp_path / "d2_tf.pth", {"model": published, "extra": Hostile(tmp_path / "trace")})
-    done = run("convert", "d2_tf.pth", "hostile.safetensors", cwd=tmp_path)
+    done = program("ebjax.models", "convert", "d2_tf.pth", "hostile.safetensors", cwd=tmp_path)
     assert done.returncode == 2 and done.stderr.count("\n") == 1 and "posix.system" in done.stderr
     assert not (tmp_path / "trace").exists() and not (tmp_path / "hostile.safetensors").exists()
 

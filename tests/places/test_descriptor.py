@@ -7,10 +7,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from ebjax.places.descriptor import DESCRIPTORS, descriptor
+from ebjax.places.descriptor import DESCRIPTORS, _made, descriptor
 
 SIZE, VIEWS = 112, 4
 IMAGE = np.full((8, 8, 3), 99, np.uint8)
+
+
+@pytest.fixture(autouse=True)
+def made_anew():
+    """What is made here is of another size than in use."""
+    _made.cache_clear()
+    yield
+    _made.cache_clear()
 
 
 def coloured(floor_texture, seed):
@@ -30,7 +38,7 @@ def test_vectors_are_unit_turn_with_the_view_and_know_nothing_of_what_is_not_see
     module = importlib.import_module(DESCRIPTORS[name].partition(":")[0])
     if hasattr(module, "SIDE_PX"):
         monkeypatch.setattr(module, "SIDE_PX", SIZE)  # as large as in use they take a minute
-    chosen = descriptor.__wrapped__(name, weights(name.removesuffix("-pooled")))
+    chosen = descriptor(name, weights(name.removesuffix("-pooled")))
     views = [coloured(floor_texture, k) for k in range(VIEWS)]
     seen = np.ones((SIZE, SIZE), bool)
     seen[:40, :40] = False
@@ -66,10 +74,10 @@ def test_networks_refuse_without_their_weights(weights, tmp_path, monkeypatch, n
     with pytest.raises(
         ValueError, match=rf"^{network} needs weights, and .*python -m ebjax.models convert .*{network}"
     ):
-        descriptor.__wrapped__(name)
+        descriptor(name)
     other = "superpoint" if network != "superpoint" else "resnet50"
     with pytest.raises(ValueError, match=f"weights of {other}, not of {network}"):
-        descriptor.__wrapped__(name, weights(other) / f"{other}.safetensors")
+        descriptor(name, weights(other) / f"{other}.safetensors")
 
 
 def test_unknown_names_are_told_the_known_ones():

@@ -1,18 +1,17 @@
-import subprocess
-import sys
+import functools
 
 import numpy as np
+import pytest
 
 from ebjax.posegraph.g2o import format_g2o, read_g2o
 
 
-def command(*arguments, cwd):
-    return subprocess.run(
-        [sys.executable, "-m", "ebjax.posegraph", *arguments], capture_output=True, text=True, cwd=cwd, check=False
-    )
+@pytest.fixture
+def command(program):
+    return functools.partial(program, "ebjax.posegraph")
 
 
-def test_optimises_a_file_and_writes_it_whole(ring, tmp_path):
+def test_optimises_a_file_and_writes_it_whole(command, ring, tmp_path):
     graph, truth = ring(n=30, loops=4)
     (tmp_path / "graph.g2o").write_text(format_g2o(graph))
     done = command("graph.g2o", "--out", "out/better.g2o", "--robust", "cauchy", "--strict", cwd=tmp_path)
@@ -25,14 +24,14 @@ def test_optimises_a_file_and_writes_it_whole(ring, tmp_path):
     assert error(better.poses) < error(graph.poses)
 
 
-def test_missing_vertices_are_noted(tmp_path):
+def test_missing_vertices_are_noted(command, tmp_path):
     (tmp_path / "thin.g2o").write_text("VERTEX_SE2 0 0 0 0\nEDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n")
     done = command("thin.g2o", "--quiet", cwd=tmp_path)
     assert done.returncode == 0
     assert done.stderr == "note: thin.g2o: no VERTEX line for 1; they start where the edges put them\n"
 
 
-def test_bad_input_is_one_line_exit_2_and_no_output(tmp_path):
+def test_bad_input_is_one_line_exit_2_and_no_output(command, tmp_path):
     (tmp_path / "bad.g2o").write_text("VERTEX_SE2 0 0 0 0\nEDGE_SE2 0 1 1 0 0 1 0 0 1 0\n")
     done = command("bad.g2o", "--out", "out.g2o", cwd=tmp_path)
     assert done.returncode == 2
@@ -42,7 +41,7 @@ def test_bad_input_is_one_line_exit_2_and_no_output(tmp_path):
     assert command("absent.g2o", cwd=tmp_path).returncode == 2
 
 
-def test_steps_used_up_is_exit_3_only_when_strict(ring, tmp_path):
+def test_steps_used_up_is_exit_3_only_when_strict(command, ring, tmp_path):
     graph, _ = ring(n=30, loops=4, false_loops=2)
     (tmp_path / "graph.g2o").write_text(format_g2o(graph))
     assert command("graph.g2o", "--max-steps", "1", cwd=tmp_path).returncode == 0
@@ -58,7 +57,7 @@ EDGE_SE2_XY 2 10 1 1 1000 0 1000
 """
 
 
-def test_counts_landmarks_and_priors_and_writes_them_back(tmp_path):
+def test_counts_landmarks_and_priors_and_writes_them_back(command, tmp_path):
     (tmp_path / "map.g2o").write_text(PLANE + "EDGE_PRIOR_SE2_XY 1 0 0 50 0 50\nEDGE_PRIOR_XY 10 2 1 50 0 50\n")
     done = command("map.g2o", "--quiet", "--robust", "none", "--out", "out.g2o", "--plot", "map.png", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -73,7 +72,7 @@ def test_counts_landmarks_and_priors_and_writes_them_back(tmp_path):
     assert np.isfinite(graph.poses).all()
 
 
-def test_what_is_held_is_said_and_what_is_open_is_named_until_it_is_fixed(tmp_path):
+def test_what_is_held_is_said_and_what_is_open_is_named_until_it_is_fixed(command, tmp_path):
     (tmp_path / "one.g2o").write_text(PLANE + "EDGE_PRIOR_SE2_XY 2 1 0 50 0 50\n")
     done = command("one.g2o", "--quiet", cwd=tmp_path)
     assert done.returncode == 0

@@ -5,8 +5,10 @@ import pytest
 
 from ebjax.geometry.planar import between
 from ebjax.odometry.wheels import WheelErrors
-from ebjax.slam.believe import KEPT, Belief, BeliefConfig, Measured, Walked, best_per_stretch, spread_along
+from ebjax.slam.believe import KEPT, THINNED, Belief, BeliefConfig, alone_reasons, spread_along
 from ebjax.slam.gate import drift_sigma_m, odometry_distance, plausible
+from ebjax.slam.measured import Measured
+from ebjax.slam.walked import Walked
 
 OUT = np.stack([np.arange(21) * 0.5, np.zeros(21), np.zeros(21)], 1)
 PATH = np.concatenate([OUT, OUT[::-1] + np.array([0, 0.2, np.pi])])
@@ -148,14 +150,18 @@ def test_what_odometry_rules_out():
     assert plausible(i, j, PATH, centre, 1.5, WheelErrors(translation=1.0).step_covariance(PATH), 3.0).all()
 
 
-def test_the_best_of_every_stretch_is_kept():
-    rng = np.random.default_rng(0)
-    place, quality = np.sort(rng.uniform(0, 20, 200)), rng.uniform(0, 1, 200)
-    chosen = best_per_stretch(place, quality, 0.5)
-    for stretch in range(40):
-        mine = np.floor(place / 0.5).astype(int) == stretch
-        assert chosen[mine].sum() == mine.any()
-        assert not mine.any() or quality[mine & chosen] == quality[mine].max()
+@pytest.mark.parametrize("spacing_m", [0.3, 1.0])
+def test_the_best_of_every_stretch_is_left(spacing_m):
+    candidates, path, _ = many(200, 0.0)
+    belief = Belief(BeliefConfig(spacing_m=spacing_m))
+    belief.update(candidates, path)
+    alone = alone_reasons(candidates, path, BeliefConfig()) == ""
+    left = alone & (belief.reasons != THINNED)
+    stretch = np.floor(path.travelled[candidates.i] / spacing_m).astype(int)
+    for one in np.unique(stretch[alone]):
+        mine = alone & (stretch == one)
+        assert left[mine].sum() == 1
+        assert candidates.quality[mine & left] == candidates.quality[mine].max()
 
 
 def test_spread_along_fills_up():
@@ -188,14 +194,22 @@ def up_to(path, row):
     return Walked(path.poses[: row + 1], path.steps[:row], path.piece[: row + 1])
 
 
-@pytest.mark.parametrize(("count", "wrong", "seed"), [(12, 0.3, 0), (90, 0.2, 1), (300, 0.3, 2), (300, 0.0, 3)])
-def test_what_is_believed_does_not_depend_on_how_it_came(count, wrong, seed):
+@pytest.mark.parametrize(
+    ("count", "wrong", "seed", "top"),
+    [(12, 0.3, 0, 0), (90, 0.2, 1, 0), (300, 0.3, 2, 0), (300, 0.0, 3, 0), (300, 0.1, 4, 30), (400, 0.2, 5, 0)],
+)
+def test_what_is_believed_does_not_depend_on_how_it_came(count, wrong, seed, top):
     candidates, path, _ = many(count, wrong, seed)
-    whole = Belief(BeliefConfig())
+    if seed > 3:
+        # Two pieces of path before, and the later one goes on.
+        path = dataclasses.replace(path, piece=np.where(np.arange(len(path.poses)) < 2 * count, 0, 1))
+    whole = Belief(BeliefConfig(top=top))
     whole.update(candidates, path)
-    came = Belief(BeliefConfig())
+    came, so_far = Belief(BeliefConfig(top=top)), up_to(path, 0)
     for row in np.unique(candidates.i):
-        came.update(candidates.rows(np.flatnonzero(candidates.i <= row)), up_to(path, int(row)))
+        part = up_to(path, int(row))
+        so_far = so_far.gone_on(part.poses, part.steps, part.piece)
+        came.update(candidates.rows(np.flatnonzero(candidates.i <= row)), so_far)
     np.testing.assert_array_equal(came.reasons, whole.reasons)
 
 
@@ -233,3 +247,14 @@ def test_pieces_of_path_that_nothing_joins_are_not_asked_of_odometry():
     contradicted.update(candidates, together)
     assert belief.kept.all()
     assert not contradicted.kept.any()
+
+
+def test_a_path_that_is_gone_on_sums_up_to_the_same_bits():
+    _, path, _ = many(40, 0.0)
+    path = dataclasses.replace(path, piece=np.arange(len(path.poses)) // 100)
+    grown = up_to(path, 0)
+    for row in (1, 2, 3, 50, 51, 160, len(path.poses) - 1):
+        part = up_to(path, row)
+        grown = grown.gone_on(part.poses, part.steps, part.piece)
+    np.testing.assert_array_equal(grown.travelled, path.travelled)
+    np.testing.assert_array_equal(grown.spread, path.spread)

@@ -11,6 +11,8 @@ from ebjax.io.trajectory import read_tum
 from ebjax.posegraph.g2o import read_g2o
 from ebjax.slam.__main__ import Config, main
 
+pytestmark = pytest.mark.usefixtures("unpainted")
+
 
 def slam(sequence, out, *flags):
     run(main, Config, [str(sequence), "--out", str(out), *flags])
@@ -38,9 +40,8 @@ def keep_lines(path, count):
     path.write_text("".join(path.read_text().splitlines(keepends=True)[:count]))
 
 
-def test_closes_the_loop_of_the_way_back(rendered, tmp_path, capsys):
-    out = tmp_path / "run"
-    metrics = slam(rendered, out)
+def test_closes_the_loop_of_the_way_back(rendered, done):
+    out, _, metrics, printed = done
     truth = metrics["closures_against_truth"]
     assert metrics["closures_kept"] >= 3
     assert metrics["closures_opposing"] == metrics["closures_kept"]
@@ -48,7 +49,7 @@ def test_closes_the_loop_of_the_way_back(rendered, tmp_path, capsys):
     assert metrics["ate_rmse_m"]["after"] < min(0.005, 0.1 * metrics["ate_rmse_m"]["before"])
     assert metrics["motion"]["measured"] >= 0.8 * metrics["motion"]["steps"]
     assert metrics["recall_at_1_1m"] >= 0.6
-    assert "loop closures kept" in capsys.readouterr().out
+    assert "loop closures kept" in printed
 
     trajectory = read_tum(out / "trajectory.tum")
     odometry = read_tum(rendered / "odometry.txt")
@@ -166,6 +167,7 @@ def test_a_run_that_cannot_be_read_is_refused(sequence, tmp_path, capsys):
 
 
 def test_depth_without_a_number_is_refused(sequence, tmp_path, capsys):
+    keep_lines(sequence / "rgb.txt", 12)
     for file in (sequence / "depth").iterdir():
         cv2.imwrite(str(file), np.zeros((480, 640), np.uint16))
     line = refused(capsys, sequence, tmp_path / "run")
@@ -212,11 +214,9 @@ def test_bad_flags_are_named(rendered, tmp_path, capsys, flags, word):
     assert word in refused(capsys, rendered, tmp_path / "run", *flags)
 
 
-def test_other_programs_get_their_files(rendered, tmp_path, capsys):
-    """Kept in a map, the run is the same, and the map says the same when it is exported."""
-    out, kept = tmp_path / "run", tmp_path / "building.ebmap"
-    slam(rendered, out, "--map", str(kept))
-    printed = capsys.readouterr().out
+def test_other_programs_get_their_files(done, sequence, tmp_path, capsys):
+    """What a map is exported to says the same as the run that was kept in it."""
+    out, kept, _, printed = done
     assert f"{kept}: holds the run as session 1" in printed
     for name in ("nav2_map.yaml", "nav2_map.png", "pairs.txt", "transforms.json"):
         assert name in printed and (out / name).is_file()
@@ -240,23 +240,24 @@ def test_other_programs_get_their_files(rendered, tmp_path, capsys):
     np.testing.assert_allclose(np.asarray(other.poses), np.asarray(one.poses), atol=1e-12)
     np.testing.assert_allclose(np.asarray(other.measured), np.asarray(one.measured), atol=1e-12)
 
-    shutil.copytree(rendered, tmp_path / "other")
-    pose = np.array(json.loads((rendered / "camera.json").read_text())["T_base_camera"])
+    pose = np.array(json.loads((sequence / "camera.json").read_text())["T_base_camera"])
     pose[2, 3] *= 1.2
-    edit_json(tmp_path / "other" / "camera.json", T_base_camera=pose.tolist())
+    edit_json(sequence / "camera.json", T_base_camera=pose.tolist())
     capsys.readouterr()
-    line = refused(capsys, tmp_path / "other", tmp_path / "none", "--map", str(kept))
+    line = refused(capsys, sequence, tmp_path / "none", "--map", str(kept))
     assert "building.ebmap: was made with mount" in line
 
 
-def test_a_long_run_is_kept_beside_memory_and_gives_the_same(rendered, tmp_path, monkeypatch):
+def test_a_run_is_the_same_whatever_keeps_it(rendered, done, tmp_path, monkeypatch):
+    """In memory, in a file beside it where the run is long, and in a map."""
     slam(rendered, tmp_path / "short")
-    monkeypatch.setattr("ebjax.slam.__main__.MOST_IN_MEMORY", 10)
+    monkeypatch.setattr("ebjax.front.close.MOST_IN_MEMORY", 10)
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     slam(rendered, tmp_path / "long")
     assert not list(tmp_path.glob("ebjax-*"))
     for name in ("trajectory.tum", "loop_closures.csv", "pose_graph.g2o"):
-        assert (tmp_path / "long" / name).read_bytes() == (tmp_path / "short" / name).read_bytes()
+        for out in (tmp_path / "long", done.out):
+            assert (out / name).read_bytes() == (tmp_path / "short" / name).read_bytes()
 
 
 @pytest.mark.parametrize(
@@ -281,12 +282,14 @@ def test_flags_of_a_map_that_do_not_go_together(tmp_path, monkeypatch, capsys, f
     assert not list(tmp_path.iterdir())
 
 
-def test_a_run_is_recorded_for_rerun(rendered, tmp_path):
+def test_a_run_is_recorded_for_rerun(sequence, tmp_path):
     pytest.importorskip("rerun", reason="needs rerun-sdk")
-    slam(rendered, tmp_path / "run", "--save-rrd", str(tmp_path / "run.rrd"))
+    keep_lines(sequence / "rgb.txt", 8)
+    slam(sequence, tmp_path / "run", "--save-rrd", str(tmp_path / "run.rrd"))
     assert (tmp_path / "run.rrd").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_the_real_corridor(data, tmp_path):
     metrics = slam(data("corridor_rgbd"), tmp_path / "run")
     assert metrics["ate_rmse_m"]["before"] == pytest.approx(0.82, abs=0.005)
@@ -296,20 +299,24 @@ def test_the_real_corridor(data, tmp_path):
     assert metrics["closures_against_truth"]["within_5cm_1deg"] == metrics["closures_kept"]
 
 
+@pytest.mark.slow
 def test_the_real_corridor_by_its_floor_alone(data, tmp_path):
     assert slam(data("corridor_rgbd"), tmp_path / "run", "--depth", "none")["ate_rmse_m"]["after"] <= 0.0035
 
 
+@pytest.mark.slow
 def test_the_real_corridor_without_wheels_or_depth(data, tmp_path):
     flags = ["--depth", "none", "--motion", "floor"]
     assert slam(data("corridor_rgbd"), tmp_path / "run", *flags)["ate_rmse_m"]["after"] <= 0.006
 
 
+@pytest.mark.slow
 def test_the_real_corridor_from_four_points(data, tmp_path):
     quad = ["--quad", "180", "299", "460", "290", "585", "443", "66", "462"]
     assert slam(data("corridor_rgbd"), tmp_path / "run", *quad)["ate_rmse_m"]["after"] <= 0.01
 
 
+@pytest.mark.slow
 def test_half_the_real_corridor_closes_nothing(data, tmp_path):
     real = data("corridor_rgbd")
     half = tmp_path / "half"

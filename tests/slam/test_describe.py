@@ -17,7 +17,7 @@ from ebjax.slam.store import InMemory
 from ebjax.views.floor_view import view_taps
 from ebjax.views.run_view import from_camera
 
-AGAIN = Extractor(ROOTSIFT.extract, jitted=False, turn=None)
+AGAIN = Extractor(jax.jit(ROOTSIFT.extract), jitted=False, turn=None)
 """As a network: of a turned view it has to look at the turned view."""
 
 

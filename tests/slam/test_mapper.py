@@ -75,9 +75,12 @@ def test_every_update_says_where_the_robot_is(whole):
     assert any(update.path is not None for update in said)
 
 
-@pytest.mark.parametrize("ahead", [1, 7, 64])
-def test_bits_do_not_depend_on_how_far_images_are_decoded_ahead(run, whole, monkeypatch, ahead):
-    monkeypatch.setattr(driving, "PREFETCH", ahead)
+@pytest.mark.parametrize(("decoded", "looked_at"), [(1, 0), (7, 1), (64, 64)])
+def test_bits_do_not_depend_on_how_far_images_are_decoded_and_looked_at_ahead(
+    run, whole, monkeypatch, decoded, looked_at
+):
+    monkeypatch.setattr(driving, "PREFETCH", decoded)
+    monkeypatch.setattr(driving, "LOOKED_AHEAD", looked_at)
     engine, said = driven(run)
     np.testing.assert_array_equal(engine.chain.poses, whole[1].chain.poses)
     np.testing.assert_array_equal(engine.belief.reasons, whole[1].belief.reasons)

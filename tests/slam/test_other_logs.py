@@ -9,6 +9,8 @@ from ebjax.evaluation.trajectory import align_se2
 from ebjax.io.trajectory import read_tum
 from ebjax.slam.__main__ import Config, main
 
+pytestmark = pytest.mark.usefixtures("unpainted")
+
 
 def ate_rmse_m(estimate, truth):
     rows = np.abs(truth.timestamps[None] - estimate.timestamps[:, None]).argmin(1)
@@ -17,6 +19,7 @@ def ate_rmse_m(estimate, truth):
     return float(np.sqrt(np.mean(np.sum((a @ matrix[:3, :3].T + matrix[:3, 3] - b)[:, :2] ** 2, 1))))
 
 
+@pytest.mark.slow
 def test_a_database_of_rtabmap_gets_its_closures_back(data, tmp_path, capsys):
     source = data("logs/rtabmap/corridor_v0.23.8_86_nodes.db")
     before = source.read_bytes()

@@ -12,7 +12,7 @@ from ebjax.odometry.motion import Motion
 from ebjax.odometry.mount import Tilt
 from ebjax.odometry.steps import Steps
 from ebjax.odometry.wheels import WheelErrors
-from ebjax.slam.believe import Measured
+from ebjax.slam.measured import Measured
 from ebjax.slam.path import path_of_motion, path_of_wheels
 
 ERRORS = WheelErrors()

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from ebjax.geometry.planar import between, chained, compose, inverse
-from ebjax.slam.believe import KEPT, BeliefConfig, Measured
+from ebjax.slam.believe import KEPT, BeliefConfig
+from ebjax.slam.measured import Measured
 from ebjax.slam.tied import Settled, Stretch, believed, fits, measured_well, moved_on, seen_in_map, tied
 
 COUNT, STEP_M = 24, 0.2

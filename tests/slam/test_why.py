@@ -2,7 +2,9 @@ import numpy as np
 import pytest
 
 from ebjax.geometry.planar import between
-from ebjax.slam.believe import CONTRADICTED, KEPT, THINNED, Belief, BeliefConfig, Measured, Walked
+from ebjax.slam.believe import CONTRADICTED, KEPT, THINNED, Belief, BeliefConfig
+from ebjax.slam.measured import Measured
+from ebjax.slam.walked import Walked
 from ebjax.slam.why import REMEDIES, why_nothing
 
 WAY = np.stack([np.linspace(0, 20, 101), np.zeros(101), np.zeros(101)], 1)

@@ -41,6 +41,7 @@ def test_a_whole_training(whole):
     assert kept(out) == [STEPS - EVERY, STEPS] and lines[-1]["score"] == metrics["score"]
 
 
+@pytest.mark.slow
 def test_killed_at_any_moment_it_ends_with_the_same_numbers(whole, tmp_path):
     for flags, killed, left in (([], "1", []), (["--resume"], "saving", [3]), (["--resume"], "removing", [3, 6, 9])):
         program = [sys.executable, toy_training.__file__, "--out", str(tmp_path), *flags]

@@ -17,6 +17,7 @@ from ebjax.io.logs.rtabmap import open_rtabmap
 from ebjax.io.logs.tum_folder import open_tum_folder
 from ebjax.io.logs.video import open_video
 from ebjax.io.map_file.schema import APPLICATION_ID
+from ebjax.parts import find
 
 MAP = APPLICATION_ID.to_bytes(4, "big")
 """The application id in the header of an SQLite file."""
@@ -59,6 +60,9 @@ class LogOptions:
     """How an RTAB-Map database's images are understood: rectified, as RTAB-Map does, or raw, bent by the lens."""
     frames_per_s: float | None = None
     """Of a video or a folder of images that tells no times."""
+    reader: str | None = None
+    """Reads a kind of log that ebjax does not know: package.module:NAME, a function of your own of the log's path that
+    returns an `ebjax.io.logs.log.Log`. Its code is run."""
 
 
 DEFAULT = LogOptions()
@@ -86,9 +90,22 @@ def open_log(
     Raises:
       ValueError: nothing there, nothing that is read, or a fault in it; names file and remedy.
     """
+    if options.reader is not None:
+        _check_options(path, "your own reader", options)
+        return log_in_seconds(_read_by(options.reader, Path(path)))
     kind = kind_of(path)
     _check_options(path, kind, options)
     return log_in_seconds(_opened(path, kind, options, depth, depth_scale))
+
+
+def _read_by(reader: str, path: Path) -> Log:
+    found = find("reader", reader, {})
+    if not callable(found):
+        raise ValueError(f"reader {reader!r} is a {type(found).__name__}; give a function of the log's path")
+    log = found(path)
+    if not isinstance(log, Log):
+        raise ValueError(f"reader {reader!r} returned a {type(log).__name__}; it must return an ebjax.io.logs.log.Log")
+    return log
 
 
 def _opened(path: str | Path, kind: str, options: LogOptions, depth: bool, depth_scale: float | None) -> Log:

@@ -10,7 +10,7 @@ What a call has written when it returns survives the process, however that ends.
 
 import contextlib
 import sqlite3
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,7 @@ from ebjax.io.map_file.faults import name_of, sqlite_faults
 from ebjax.io.map_file.lock import WriterLock
 from ebjax.io.map_file.packed import pack
 from ebjax.io.map_file.reader import OF_MAP, MapReader
-from ebjax.io.map_file.rows import Arrays, EdgeRow, FrameRow, KeyframeRow
+from ebjax.io.map_file.rows import Arrays, EdgeRow, FrameRow, KeyframeRow, SessionRow
 from ebjax.io.map_file.schema import Row, count, get, put
 
 
@@ -141,6 +141,17 @@ class MapFile(MapReader):
             count(database, sessions=1)
         return number
 
+    def take_session(self, session: SessionRow) -> None:
+        """Begins a session that another map has, under its number, name and time.
+
+        Raises:
+          ValueError: there is one of this number, or as `begin_session`.
+        """
+        row = (int(session.id), str(session.name), str(session.started), 0, json_of(session.facts))
+        with self._transaction() as database:
+            self._insert(database, "sessions", row)
+            count(database, sessions=1)
+
     def end_session(self, session: int) -> None:
         """Marks a session as finished."""
         with self._transaction() as database:
@@ -252,26 +263,15 @@ class MapFile(MapReader):
             forget_session(database, int(session))
         self._shrink()
 
-    def change_arrays(self, change: Change, facts: Mapping[str, Any] | None = None) -> int:
-        """Puts `change(keyframe, arrays)` in place of each keyframe's arrays, and facts, in one transaction.
+    def change_arrays(self, change: Change) -> int:
+        """Puts `change(keyframe, arrays)` in place of each keyframe's arrays, in one transaction. Shrinks the file.
 
         FILE-wal grows by all that is changed. Returns how many keyframes changed; None leaves one as it is.
         """
         with self._transaction() as database:
             changed = change_keyframe_arrays(database, change)
-            if facts is not None:
-                put_facts(database, facts)
         self._shrink()
         return changed
-
-    def drop_arrays(self, names: Collection[str]) -> int:
-        """Drops arrays of these names from every keyframe; returns how many had one. Shrinks the file."""
-
-        def without(_: int, arrays: dict[str, np.ndarray]) -> Arrays | None:
-            left = {name: array for name, array in arrays.items() if name not in names}
-            return left if len(left) < len(arrays) else None
-
-        return self.change_arrays(without)
 
     def _shrink(self) -> None:
         try:

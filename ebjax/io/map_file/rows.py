@@ -1,7 +1,7 @@
 """The rows of a map, one by one as they are written, and in columns as they are read."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -120,3 +120,8 @@ class Edges:
 
     def __len__(self) -> int:
         return len(self.id)
+
+    def row(self, k: int) -> EdgeRow:
+        """One of them."""
+        values = (getattr(self, field.name)[k] for field in fields(self))
+        return EdgeRow(*(value.item() if isinstance(value, np.generic) else value for value in values))

@@ -1,0 +1,3 @@
+from tests.slam.conftest import rendered
+
+__all__ = ["rendered"]
