@@ -61,7 +61,7 @@ def measure(run: dict[str, Any], out: Path) -> dict[str, Any]:
     return {
         "frames": metrics["frames"],
         "closures_kept": metrics["closures_kept"],
-        "within_5cm_1deg": metrics["closures_against_truth"]["within_5cm_1deg"],
+        "within_5cm_1deg": metrics.get("closures_against_truth", {}).get("within_5cm_1deg", 0),
         "ate_before_m": round(metrics["ate_rmse_m"]["before"], 4) if wheels else None,
         "ate_after_m": round(metrics["ate_rmse_m"]["after"], 4),
     }

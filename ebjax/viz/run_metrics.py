@@ -85,7 +85,7 @@ def summary_lines(metrics: Mapping[str, Any]) -> list[str]:
     if metrics["frames_without_odometry"]:
         lines.append(f"left out {len(metrics['frames_without_odometry'])} frames without odometry")
     lines.append(
-        f"{metrics['frames']} frames, {metrics['keyframes']} looked at, {metrics['candidates']} candidates verified, "
+        f"{metrics['frames']} frames, {metrics['keyframes']} looked at, {metrics['candidates']} candidates checked, "
         f"{metrics['closures_kept']} loop closures kept ({metrics['closures_opposing']} from opposing views)"
     )
     if metrics["frames_followed"]:

@@ -1,3 +1,3 @@
-from tests.slam.conftest import rendered
+from ..slam.conftest import rendered
 
 __all__ = ["rendered"]

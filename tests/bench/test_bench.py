@@ -6,13 +6,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from PIL import Image
 
 from ebjax.bench import __main__ as bench
 from ebjax.bench.curves import running
 from ebjax.bench.programs import counted
 from ebjax.bench.timeline import WARM, Timeline
 from ebjax.slam.frame import Update
+
+Image = pytest.importorskip("PIL.Image")
 
 
 def update(k, keyframe, ms=10.0):
