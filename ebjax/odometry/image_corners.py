@@ -73,6 +73,12 @@ def with_depth(features: ImageFeatures, depth_m: Float[np.ndarray, "H W"] | None
     return replace(features, depth_m=np.asarray(depth, np.float64)[: len(features)])
 
 
+def compile_lifting(camera: Camera) -> None:
+    """Makes the program that reads depth at corners before there are any; may run in a thread."""
+    none = ImageFeatures(np.zeros((0, 2)), np.zeros((0, 128)), np.zeros(0))
+    with_depth(none, np.zeros((camera.height, camera.width), np.float32), camera)
+
+
 def levelled(features: ImageFeatures, camera: Camera, level_from_base: Float[np.ndarray, "4 4"]) -> ImageFeatures:
     """The corners where the camera of an upright robot would see them.
 

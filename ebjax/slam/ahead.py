@@ -19,6 +19,10 @@ class Ahead:
         if (what, number) not in self._begun:
             self._begun[what, number] = frame, self._pool.submit(make, number, frame)
 
+    def spare(self, work: Callable[[], Any]) -> None:
+        """Does what nobody waits for."""
+        self._pool.submit(work)
+
     def take(self, what: str, number: int, frame: Frame, make: Callable[[int, Frame], Any]) -> Any:
         """The same, waited for where it was begun with this frame, else made now."""
         begun, waited = self._begun.pop((what, number), (None, None))

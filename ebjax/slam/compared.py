@@ -64,6 +64,14 @@ def loops_of(group: Measured, path: Walked) -> Loops:
     return Loops(poses, spread, earlier, later, measured, covariance)
 
 
+def compile_comparing() -> None:
+    """Makes the program before there are two closures; may run in a thread."""
+    none = np.zeros(1, int)
+    one = Measured(none, none, none > 0, np.zeros(1), none, none, np.zeros((1, 3)), np.eye(3)[None])
+    nowhere = Walked(np.zeros((2, 3)), np.eye(3)[None], np.zeros(2, int))
+    _row_of_cycles(loops_of(one, nowhere), 0)
+
+
 @jax.jit
 def _row_of_cycles(loops: Loops, a: Int[Array, ""]) -> Float[Array, "2 K"]:
     """Distances of the cycles through closure a and every other, and through every other and a."""

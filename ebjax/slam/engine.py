@@ -7,6 +7,7 @@ What decides are measurements and the path of their steps.
 
 import dataclasses
 import time
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,12 +16,14 @@ from jaxtyping import Float, Int, Int8, UInt8
 from ebjax.features.verify_pairs import stacked
 from ebjax.geometry.planar import compose, inverse
 from ebjax.odometry.floor_steps import more_certain
+from ebjax.odometry.image_corners import compile_lifting
 from ebjax.places.descriptor import descriptor
 from ebjax.places.fixed_words import FixedWords, fixed_words
 from ebjax.places.index import PlaceIndex
 from ebjax.places.search import check_ranking
 from ebjax.posegraph.graph import PoseGraph
 from ebjax.slam.believe import Belief
+from ebjax.slam.compared import compile_comparing
 from ebjax.slam.config import PipelineConfig
 from ebjax.slam.correct import Corrector
 from ebjax.slam.frame import Closure, Frame, Update
@@ -86,12 +89,21 @@ class Engine(Walker):
 
     def _keyframe(self, number: int, kept: Arrays) -> tuple[tuple[Closure, ...], bool]:
         row = self._arrived(number, kept)
+        if row == self.start:
+            self._ahead.spare(partial(self._compile, kept))
         news = self._recognise(row, kept)
         self._keep(row, number)
         begun = self._begun_in_map
         corrected = self.corrector.take(row + 1, self._graph, self.chain.poses)
         self._in_map = begun if corrected else self._in_map
         return news, corrected
+
+    def _compile(self, kept: Arrays) -> None:
+        """Makes the programs of the first turn and the first closures, so that none of these has to wait for them."""
+        self.looked.compile_facing(kept)
+        compile_comparing()
+        if self.config.motion != "wheels":
+            compile_lifting(self.camera)
 
     def _recognise(self, row: int, kept: Arrays) -> tuple[Closure, ...]:
         """Looks for a keyframe among those before; returns closures whose standing is new."""

@@ -18,7 +18,7 @@ from ebjax.odometry.floor_steps import FloorPairs
 from ebjax.places.descriptor import Descriptor
 from ebjax.slam.describe import Described, describe, describe_view
 from ebjax.slam.latest import Latest
-from ebjax.slam.packed import floor_of, landmarks_of, view_of
+from ebjax.slam.packed import Arrays, floor_of, landmarks_of, view_of
 from ebjax.slam.store import Shelf
 from ebjax.slam.told import Ends, Told
 from ebjax.views.floor_view import view_taps
@@ -113,6 +113,10 @@ class Looked:
             kept = self.store.arrays(row)
             self._landmarks[row, facing] = landmarks_of(kept, self.view, self.camera, self._turn, facing)
         return self._landmarks[row, facing]
+
+    def compile_facing(self, kept: Arrays) -> None:
+        """Makes the program of views turned by pi before one is asked for; may run in a thread."""
+        landmarks_of(kept, self.view, self.camera, self._turn, True)
 
     def stacked_landmarks(self, rows: Sequence[int] | Int[np.ndarray, " n"]) -> Landmarks:
         """Of several keyframes."""
