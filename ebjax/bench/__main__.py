@@ -29,7 +29,7 @@ from ebjax.slam.pipeline import run as run_pipeline
 class DriveConfig(Options):
     """Drives a log through the engine into a map, and says what every keyframe takes as the map grows.
 
-    Writes timeline.json, timeline.png and map.ebmap.
+    Writes timeline.json, timeline.png and map.ebmap; ctrl-C ends it with what was measured until then.
     """
 
     sequence: tyro.conf.Positional[Path | None] = None
@@ -60,7 +60,11 @@ def bench_drive(config: DriveConfig) -> None:
 
             return told
 
-        result = run_pipeline(log.recording, log.camera, log.view, config, keep=kept, watch=watch)
+        try:
+            result = run_pipeline(log.recording, log.camera, log.view, config, keep=kept, watch=watch)
+        except KeyboardInterrupt:
+            concluded(config.out, timeline, kept_in)
+            raise
         kept.finished(result)
     notes, took_s = (*log.notes, *log.remarks), time.perf_counter() - began_s
     print(Run.of(result, Driven(log.sequence, log.images.both, log.images.broken, config, notes, took_s)).summary())

@@ -1,6 +1,7 @@
 """What the bench says of a drive, from made up keyframes, and from a small run."""
 
 import json
+from itertools import islice
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +12,9 @@ from ebjax.bench import __main__ as bench
 from ebjax.bench.curves import running
 from ebjax.bench.programs import counted
 from ebjax.bench.timeline import WARM, Timeline
+from ebjax.slam.drive import frames_of
 from ebjax.slam.frame import Update
+from ebjax.slam.mapper import Mapper
 
 Image = pytest.importorskip("PIL.Image")
 
@@ -67,3 +70,18 @@ def test_a_run_is_driven_into_a_map(rendered, tmp_path, capsys):
         bench.main(["drive", str(rendered), "--out", str(out)])
     assert stopped.value.code == 2
     assert "map.ebmap: holds an earlier drive" in capsys.readouterr().err
+
+
+def test_what_was_measured_until_it_is_stopped_is_told(rendered, tmp_path, capsys, monkeypatch):
+    def stopped(recording, camera, view, config, *, keep, watch):
+        engine = Mapper(camera, config, view=view, recording=recording, store=keep(camera, view(camera), None))
+        told = watch(engine)
+        for frame in islice(frames_of(recording, config), 30):
+            told(engine.add(frame))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(bench, "run_pipeline", stopped)
+    with pytest.raises(SystemExit):
+        bench.main(["drive", str(rendered), "--out", str(tmp_path / "bench")])
+    assert "30 keyframes are too few" in capsys.readouterr().out
+    assert len(json.loads((tmp_path / "bench" / "timeline.json").read_text())["wall_ms"]) == 30
