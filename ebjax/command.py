@@ -14,9 +14,9 @@ import re
 import sys
 import tempfile
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, NamedTuple, TypeVar
 
 import tyro
 
@@ -26,6 +26,14 @@ __all__ = ["dump_config", "parse", "progress", "run", "setup_jax"]
 
 Config = TypeVar("Config")
 Item = TypeVar("Item")
+
+
+class Command(NamedTuple):
+    """What is run, its options, and whether it needs JAX."""
+
+    main: Callable[[Any], None]
+    config: type
+    needs_jax: bool = True
 
 
 def run(
@@ -70,6 +78,28 @@ def run(
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         sys.exit(130)
+
+
+def run_one_of(commands: Mapping[str, Command], does: str, argv: Sequence[str]) -> None:
+    """Runs the command that the first argument names; without one, or for --help, says which there are.
+
+    Args:
+      commands: by name.
+      does: what they do together, a sentence.
+      argv: the arguments.
+
+    Raises:
+      SystemExit: as `run`; 2 for a name that no command has.
+    """
+    if argv and argv[0] in commands:
+        one = commands[argv[0]]
+        return run(one.main, one.config, argv[1:], needs_jax=one.needs_jax)
+    if argv and argv[0] not in ("-h", "--help"):
+        print(f"error: no command {argv[0]!r}; there are {', '.join(commands)}", file=sys.stderr)
+        sys.exit(2)
+    print(f"{does} Commands, each with --help and --config FILE:\n")
+    for name, one in commands.items():
+        print(f"  {_program(one.main)} {name:9} {(one.config.__doc__ or '').partition(chr(10))[0]}")
 
 
 def parse(config_class: type[Config], argv: Sequence[str], *, prog: str | None = None) -> Config:

@@ -6,15 +6,17 @@ one that was defined anew counts at once.
 """
 
 import difflib
+import functools
 import hashlib
 import importlib
 import importlib.metadata
 import inspect
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+Part = TypeVar("Part")
 OWN = "package.module:NAME for one of your own, whose code is then run"
 _held: dict[str, Any] = {}
 """Objects that no module has under a name, by one that was made up."""
@@ -43,6 +45,34 @@ def find(what: str, name: str, ours: Mapping[str, str]) -> Any:
     if not is_own(name):
         raise ValueError(f"{what} {name!r} is unknown; choose one of {', '.join(ours)}, or {OWN}")
     return _held[name] if name in _held else _attribute(what, name)
+
+
+def made(what: str, name: str, ours: Mapping[str, str], kind: type[Part], *given: Hashable) -> Part:
+    """The part that a name stands for, made where the name is of a function that makes one.
+
+    Args:
+      what: see `find`.
+      name: see there.
+      ours: see there.
+      kind: that it must be, a class that `import ebjax` offers.
+      given: to the function; what it gave for the same is not made again.
+
+    Raises:
+      ValueError, ImportError: as `find`; it is of another kind.
+    """
+    found = find(what, name, ours)
+    part = _made(found, given) if callable(found) else found
+    if not isinstance(part, kind):
+        raise ValueError(
+            f"{what} {name!r} is a {type(part).__name__}; give an ebjax.{kind.__name__}, or a function of (weights, "
+            "arithmetic) that returns one"
+        )
+    return part
+
+
+@functools.lru_cache(maxsize=64)
+def _made(make: Callable[..., Any], given: tuple[Hashable, ...]) -> Any:
+    return make(*given)
 
 
 def _attribute(what: str, name: str) -> Any:

@@ -8,13 +8,12 @@ import os
 import runpy
 import subprocess
 import sys
-from collections import Counter
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import jax
 import pytest
 
+from ebjax.bench import programs
 from ebjax.command import setup_jax
 
 jax.config.update("jax_enable_x64", True)
@@ -72,7 +71,7 @@ def program():
 
 @pytest.fixture
 def unpainted(monkeypatch):
-    """Figures are made and not painted, which is half the time of a small run."""
+    """Figures are made and not painted: tests of a run do not look at them."""
     monkeypatch.setattr("ebjax.viz.figures.painted", lambda figure: b"")
 
 
@@ -95,44 +94,7 @@ def made_once(tmp_path_factory):
     return made
 
 
-_COMPILED = "/jax/core/compile/backend_compile_duration"
-_HIT = "/jax/compilation_cache/cache_hits"
-
-
-@dataclass
-class Programs:
-    """`asked`: how often a program of a name was not there in this process; `hits`: of these, read from the cache."""
-
-    asked: Counter[str] = field(default_factory=Counter)
-    hits: int = 0
-
-    @property
-    def compiled(self) -> int:
-        """Programs compiled anew."""
-        return self.asked.total() - self.hits
-
-
-@contextlib.contextmanager
-def _counted():
-    found = Programs()
-
-    def compiled(event, seconds, **what):
-        if event == _COMPILED:
-            found.asked[what.get("fun_name", "?")] += 1
-
-    def heard(event, **what):
-        found.hits += event == _HIT
-
-    jax.monitoring.register_event_duration_secs_listener(compiled)
-    jax.monitoring.register_event_listener(heard)
-    try:
-        yield found
-    finally:
-        jax.monitoring.unregister_event_duration_listener(compiled)
-        jax.monitoring.unregister_event_listener(heard)
-
-
 @pytest.fixture
 def counted():
     """Returns a context manager: the programs that JAX compiles, or reads from its cache, inside; by its events."""
-    return _counted
+    return programs.counted

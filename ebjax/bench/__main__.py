@@ -6,14 +6,13 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import tyro
 
 from ebjax.bench.curves import draw
 from ebjax.bench.programs import counted
 from ebjax.bench.timeline import Timeline
-from ebjax.command import run
+from ebjax.command import Command, run_one_of
 from ebjax.front.log import Log
 from ebjax.front.options import Options
 from ebjax.front.run import Driven, Run
@@ -82,20 +81,12 @@ def concluded(out: Path, timeline: Timeline, kept_in: Path) -> None:
     print(f"{out}: timeline.json, timeline.png, map.ebmap", flush=True)
 
 
-COMMANDS: dict[str, tuple[Callable[[Any], None], type]] = {"drive": (bench_drive, DriveConfig)}
+COMMANDS = {"drive": Command(bench_drive, DriveConfig)}
 
 
 def main(argv: list[str]) -> None:
     """Runs the command that the first argument names; help without one."""
-    if not argv or argv[0] in ("-h", "--help"):
-        print("Measures ebjax on the machine it runs on. Commands, each with --help and --config FILE:\n")
-        for name, (_, config) in COMMANDS.items():
-            print(f"  python -m ebjax.bench {name:9} {(config.__doc__ or '').partition(chr(10))[0]}")
-        return
-    if argv[0] not in COMMANDS:
-        print(f"error: no command {argv[0]!r}; there are {', '.join(COMMANDS)}", file=sys.stderr)
-        sys.exit(2)
-    run(*COMMANDS[argv[0]], argv[1:])
+    run_one_of(COMMANDS, "Measures ebjax on the machine it runs on.", argv)
 
 
 if __name__ == "__main__":

@@ -5,18 +5,17 @@ says whether it keeps to what is promised here.
 """
 
 import dataclasses
-import functools
 import typing
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ebjax.features.matching import Features
 from ebjax.models.fast import Arithmetic
-from ebjax.parts import find
+from ebjax.parts import made
 
 EXTRACTORS = {
     "floornet": "ebjax.features.floornet:floornet",
@@ -104,21 +103,9 @@ def extractor(name: str, weights: Path | None = None, arithmetic: Arithmetic = "
       OSError: the weights cannot be read.
     """
     try:
-        found = find("extractor", name, EXTRACTORS)
+        return made("extractor", name, EXTRACTORS, Extractor, weights, arithmetic)
     except ImportError as error:
         raise ValueError(f'{name} needs {error.name}: pip install "ebjax[{name}]"') from None
-    made = _made(found, weights, arithmetic) if callable(found) else found
-    if not isinstance(made, Extractor):
-        raise ValueError(
-            f"extractor {name!r} is a {type(made).__name__}; give an ebjax.Extractor, or a function of (weights, "
-            "arithmetic) that returns one"
-        )
-    return made
-
-
-@functools.lru_cache(maxsize=32)
-def _made(make: Callable[[Path | None, Arithmetic], Any], weights: Path | None, arithmetic: Arithmetic) -> Any:
-    return make(weights, arithmetic)
 
 
 def usable(

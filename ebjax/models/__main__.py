@@ -2,14 +2,12 @@
 
 import os
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import tyro
 
-from ebjax.command import run
+from ebjax.command import Command, run_one_of
 
 
 @dataclass(frozen=True)
@@ -108,26 +106,17 @@ def show_bench(config: BenchConfig) -> None:
         print(line, flush=True)
 
 
-COMMANDS: dict[str, tuple[Callable[[Any], None], type]] = {
-    "convert": (convert, ConvertConfig),
-    "list": (show_list, ListConfig),
-    "check": (check, CheckConfig),
-    "bench": (show_bench, BenchConfig),
+COMMANDS = {
+    "convert": Command(convert, ConvertConfig),
+    "list": Command(show_list, ListConfig, needs_jax=False),
+    "check": Command(check, CheckConfig),
+    "bench": Command(show_bench, BenchConfig),
 }
 
 
 def main(argv: list[str]) -> None:
     """Runs the command that the first argument names; help without one."""
-    if not argv or argv[0] in ("-h", "--help"):
-        print("Converts, lists, checks and times the networks. Commands, each with --help and --config FILE:\n")
-        for name, (_, config) in COMMANDS.items():
-            print(f"  python -m ebjax.models {name:9} {config.__doc__}")
-        return
-    if argv[0] not in COMMANDS:
-        print(f"error: no command {argv[0]!r}; there are {', '.join(COMMANDS)}", file=sys.stderr)
-        sys.exit(2)
-    function, config = COMMANDS[argv[0]]
-    run(function, config, argv[1:], needs_jax=function is not show_list)
+    run_one_of(COMMANDS, "Converts, lists, checks and times the networks.", argv)
 
 
 if __name__ == "__main__":

@@ -1,14 +1,12 @@
 """Repeats the paper's experiments on synthetic worlds, and on real data where there is any."""
 
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import tyro
 
-from ebjax.command import run
+from ebjax.command import Command, run_one_of
 
 
 @dataclass(frozen=True)
@@ -143,25 +141,17 @@ def stress(config: StressConfig) -> None:
     print(f"wrote {config.out / 'stress.md'}")
 
 
-COMMANDS: dict[str, tuple[Callable[[Any], None], type]] = {
-    "tables": (tables, TablesConfig),
-    "crops": (crops, CropsConfig),
-    "stress": (stress, StressConfig),
-    "ablations": (ablations, AblationsConfig),
+COMMANDS = {
+    "tables": Command(tables, TablesConfig),
+    "crops": Command(crops, CropsConfig),
+    "stress": Command(stress, StressConfig),
+    "ablations": Command(ablations, AblationsConfig),
 }
 
 
 def main(argv: list[str]) -> None:
     """Runs the command that the first argument names; help without one."""
-    if not argv or argv[0] in ("-h", "--help"):
-        print("Repeats the paper's experiments. Commands, each with --help and --config FILE:\n")
-        for name, (_, config) in COMMANDS.items():
-            print(f"  python -m ebjax.paper {name:9} {(config.__doc__ or '').partition(chr(10))[0]}")
-        return
-    if argv[0] not in COMMANDS:
-        print(f"error: no command {argv[0]!r}; there are {', '.join(COMMANDS)}", file=sys.stderr)
-        sys.exit(2)
-    run(*COMMANDS[argv[0]], argv[1:])
+    run_one_of(COMMANDS, "Repeats the paper's experiments.", argv)
 
 
 if __name__ == "__main__":

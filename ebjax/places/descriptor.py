@@ -9,18 +9,17 @@ that gives "vector" and "turned", float32; `ebjax.testing.check_descriptor` says
 """
 
 import dataclasses
-import functools
 import typing
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, UInt8
 
 from ebjax.models.fast import Arithmetic
-from ebjax.parts import find
+from ebjax.parts import made
 from ebjax.places.descriptor_map import MapSpace
 
 DESCRIPTORS = {
@@ -134,16 +133,4 @@ def descriptor(name: str, weights: Path | None = None, arithmetic: Arithmetic = 
       ValueError: no such name, or no descriptor; a network without weights, or with another's.
       OSError: the weights cannot be read.
     """
-    found = find("descriptor", name, DESCRIPTORS)
-    made = _made(found, weights, arithmetic) if callable(found) else found
-    if not isinstance(made, Descriptor):
-        raise ValueError(
-            f"descriptor {name!r} is a {type(made).__name__}; give an ebjax.Descriptor, or a function of (weights, "
-            "arithmetic) that returns one"
-        )
-    return made
-
-
-@functools.lru_cache(maxsize=32)
-def _made(make: Callable[[Path | None, Arithmetic], Any], weights: Path | None, arithmetic: Arithmetic) -> Any:
-    return make(weights, arithmetic)
+    return made("descriptor", name, DESCRIPTORS, Descriptor, weights, arithmetic)

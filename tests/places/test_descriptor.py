@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from ebjax.places.descriptor import DESCRIPTORS, _made, descriptor
+from ebjax.parts import _made
+from ebjax.places.descriptor import DESCRIPTORS, descriptor
 
 SIZE, VIEWS = 112, 4
 IMAGE = np.full((8, 8, 3), 99, np.uint8)
