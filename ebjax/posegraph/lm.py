@@ -34,9 +34,9 @@ def solve(
     """Minimises sum_k rho(r_k^T information_k r_k), r = log(measured^-1 * i_from_j), from `graph.poses`.
 
     The kernel applies to the edges marked `robust`. Where nothing says where a connected piece of the graph lies in the
-    world, its first pose stays where it is. Everything has the dtype of `graph.poses`; float64 needs JAX's x64 mode.
-    Gradients of `poses` and `cost` with respect to measured, information, width and the fixed poses are exact at
-    convergence (`ebjax.posegraph.adjoint`): give them a small `rtol`, 1e-20 say.
+    world, its first pose stays where it is. Everything has the dtype of `graph.poses`; float64 needs JAX's
+    x64 mode (`ebjax.setup_jax`). Gradients of `poses` and `cost` with respect to measured, information, width and the
+    fixed poses are exact at convergence (`ebjax.posegraph.adjoint`): give them a small `rtol`, 1e-20 say.
 
     Args:
       graph: without edges, or with fewer than two poses, it is returned as it is, cost 0, converged.
@@ -58,7 +58,8 @@ def solve(
 
     Raises:
       ValueError: unknown kernel or solver, wrong shapes, non-finite numbers, an information matrix with a negative
-        eigenvalue, or rows that nothing determines (the last three only where the arrays are concrete).
+        eigenvalue, or rows that nothing determines (the last three only where the arrays are concrete); a float64 graph
+        where JAX's x64 mode is off.
     """
     kernel = kernel_of(kernel)
     prepared = _prepared(graph, kernel, width, solver, structure)
@@ -116,6 +117,8 @@ def _prepared(graph, kernel, width, solver, structure):
     """`params` and `rest` of `optimum`; the solution where there is nothing to solve."""
     check(graph)
     dtype = jax.dtypes.canonicalize_dtype(graph.poses.dtype)
+    if dtype != graph.poses.dtype:
+        raise ValueError(f"the graph is in {graph.poses.dtype} and JAX in {dtype}: call ebjax.setup_jax() first")
     width = _default_width(graph, kernel) if width is None else width
     if len(graph.poses) < 2 or len(graph.i) == 0:
         zero, none = np.zeros((), dtype), np.zeros((), np.int32)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ebjax.places.recall import facing_pairs, precision_100, recall_at, recall_at_1
+from ebjax.places.recall import ROWS, facing_pairs, judged_claims, precision_100, recall_at, recall_at_1
 
 
 def test_facing_pairs_look_at_the_same_floor_from_the_opposite_side():
@@ -13,6 +13,24 @@ def test_facing_pairs_look_at_the_same_floor_from_the_opposite_side():
     expected = np.zeros((6, 6), bool)
     expected[1, 0] = expected[5, 0] = True
     np.testing.assert_array_equal(pairs, expected)
+
+
+def test_a_claim_is_right_where_the_direction_is_too():
+    """Three passes over one place: ahead, back, ahead; the views of the last two are queries."""
+    poses = np.array([[0, 0, 0], [0, 0, np.pi], [0.1, 0, 0], [5, 0, 0]], float)
+    first, ahead = np.array([-1, 0, 0, 0]), np.zeros(4, bool)
+    right, asked = judged_claims(poses, np.zeros(2), 0.5, first, ahead)
+    assert asked.tolist() == [False, True, True, False] and right.tolist() == [False, False, True, False]
+    right, _ = judged_claims(poses, np.zeros(2), 0.5, first, ~ahead)
+    assert right.tolist() == [False, True, False, False]
+
+
+def test_queries_are_the_same_block_by_block():
+    rng = np.random.default_rng(0)
+    poses = np.stack([rng.uniform(0, 9, 3 * ROWS // 2), *rng.uniform(0, 3, (2, 3 * ROWS // 2))], -1)
+    _, asked = judged_claims(poses, np.array([1.0, 0.0]), 0.3, np.zeros(len(poses), int), np.zeros(len(poses), bool))
+    np.testing.assert_array_equal(asked, facing_pairs(poses, np.array([1.0, 0.0]), 0.3).any(1))
+    assert judged_claims(np.zeros((0, 3)), np.zeros(2), 1.0, np.zeros(0, int), np.zeros(0, bool))[1].shape == (0,)
 
 
 def test_facing_angle_is_25_degrees():

@@ -54,6 +54,12 @@ def test_the_solution_does_not_depend_on_the_frame(ring):
     np.testing.assert_allclose(relative(there), relative(here), atol=1e-6)
 
 
+def test_a_float64_graph_is_not_solved_in_single_precision(ring):
+    graph, _ = ring()
+    with jax.enable_x64(False), pytest.raises(ValueError, match=r"float64 and JAX in float32.*setup_jax"):
+        solve(jax.tree.map(np.asarray, graph))
+
+
 def test_float32_in_float32_out(ring):
     graph, _ = ring(dtype=jnp.float32)
     solution = solve(graph)
