@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, UInt8
 
 from ebjax.features.measure import lift
 from ebjax.geometry.camera import OUTSIDE_PX, Camera, ideal_from_raw, raw_slopes
-from ebjax.odometry.image_matches import COUNT, ImageFeatures, image_features
+from ebjax.odometry.image_matches import COUNT, LONGEST_SIDE, ImageFeatures, image_features
 
 MOST_STRETCH = 4.0
 """Of a pinhole's image over a lens's: farther out, 60 degrees for a fisheye, corners say little."""
@@ -24,6 +24,8 @@ def image_corners(
     camera: Camera,
     mask: Bool[np.ndarray, "h w"] | None = None,
     level_from_base: Float[np.ndarray, "4 4"] | None = None,
+    *,
+    longest_side: int = LONGEST_SIDE,
 ) -> ImageFeatures:
     """Finds corners in a raw image and says where an ideal, upright camera would see them, and how deep.
 
@@ -33,8 +35,9 @@ def image_corners(
       camera: as it is mounted.
       mask: where corners may lie; None: everywhere.
       level_from_base: how the robot leans; None: it does not.
+      longest_side: as of `image_features`.
     """
-    corners = with_depth(ideal(image_features(rgb, mask), camera), depth_m, camera)
+    corners = with_depth(ideal(image_features(rgb, mask, longest_side=longest_side), camera), depth_m, camera)
     return corners if level_from_base is None else levelled(corners, camera, level_from_base)
 
 

@@ -13,8 +13,8 @@ from jaxtyping import Array, Int, Int8, UInt8
 
 from ebjax.places.pairwise import Spectra, spectrum
 
-SLOTS = 512
-"""About 180 MB for maps of 25 x 25 cells and 32 channels."""
+SLOTS = 256
+"""About 90 MB for maps of 25 x 25 cells and 32 channels."""
 MapsOf = Callable[[Int[np.ndarray, "K"]], tuple[Int8[np.ndarray, "K h w D"], UInt8[np.ndarray, "K h w"]]]
 """Rows -> maps and weights of their places."""
 

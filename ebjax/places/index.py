@@ -93,7 +93,7 @@ class PlaceIndex:
         self._count += 1
         return self._count - 1
 
-    def query(self, place: Place, same: Comparable, opposing: Comparable, top: int = 20) -> Candidates:
+    def query(self, place: Place, same: Comparable, opposing: Comparable, top: int = 10) -> Candidates:
         """The best of both directions, ranked together; only such as may be compared.
 
         Args:

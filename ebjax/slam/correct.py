@@ -17,7 +17,8 @@ from ebjax.posegraph.lm import solve
 from ebjax.posegraph.warm import compile_solve_for
 
 SHARE, LEAST = 64, 4
-STEPS = 20
+STEPS, RTOL = 20, 1e-3
+"""Of a solve: where a step gains less than that share, no keyframe moves by a millimetre any more."""
 FIRST = 256
 """Rows of the smallest graph program."""
 
@@ -57,7 +58,7 @@ class Corrector:
             self._compiled *= 2
             self._beside.submit(compile_solve_for, self._compiled)
         made = graph(self.poses(path))
-        self._waiting = self._pool.submit(lambda: np.asarray(solve(made, max_steps=STEPS).poses))
+        self._waiting = self._pool.submit(lambda: np.asarray(solve(made, max_steps=STEPS, rtol=RTOL).poses))
         return taken
 
     def poses(self, path: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:

@@ -18,6 +18,7 @@ from ebjax.odometry.floor_steps import FloorPairs
 from ebjax.places.descriptor import Descriptor
 from ebjax.slam.describe import Described, describe, describe_view
 from ebjax.slam.latest import Latest
+from ebjax.slam.one_piece import in_one_piece
 from ebjax.slam.packed import Arrays, floor_of, landmarks_of, view_of
 from ebjax.slam.store import Shelf
 from ebjax.slam.told import Ends, Told
@@ -111,7 +112,7 @@ class Looked:
         """The features of a keyframe; those of its view turned by pi where `facing`."""
         if (row, facing) not in self._landmarks:
             kept = self.store.arrays(row)
-            self._landmarks[row, facing] = landmarks_of(kept, self.view, self.camera, self._turn, facing)
+            self._landmarks[row, facing] = in_one_piece(landmarks_of(kept, self.view, self.camera, self._turn, facing))
         return self._landmarks[row, facing]
 
     def compile_facing(self, kept: Arrays) -> None:
@@ -120,7 +121,7 @@ class Looked:
 
     def stacked_landmarks(self, rows: Sequence[int] | Int[np.ndarray, " n"]) -> Landmarks:
         """Of several keyframes."""
-        found = [jax.tree.map(np.asarray, self.landmarks(int(row))) for row in rows]
+        found = [self.landmarks(int(row)) for row in rows]
         return jax.tree.map(lambda *leaves: np.stack(leaves), *found)
 
     def pair(self, i: int, j: int, opposing: bool) -> VerifiedPair:
@@ -139,7 +140,7 @@ class Looked:
         """What verifies two keyframes, wherever it is called."""
         ends, numbers = (self.landmarks(i), self.landmarks(j, opposing)), pair_numbers(self._seed, i, j, opposing)
         given = numbers, self.view, self.camera, self._tolerance_m
-        return lambda: jax.tree.map(np.asarray, verify_pair(*ends, *given))
+        return lambda: in_one_piece(verify_pair(*ends, *given))
 
     def pairs(
         self,

@@ -16,7 +16,7 @@ from ebjax.odometry.bridge import step_of
 from ebjax.odometry.causal import Causal
 from ebjax.odometry.floor_steps import table_of
 from ebjax.odometry.image_corners import image_corners
-from ebjax.odometry.image_matches import ImageFeatures
+from ebjax.odometry.image_matches import LONGEST_SIDE, QUICK_SIDE, ImageFeatures
 from ebjax.odometry.partners import REACH, partners_of_last
 from ebjax.odometry.steps import Steps, joined, no_steps
 from ebjax.places.descriptor import descriptor
@@ -257,7 +257,8 @@ class Walker:
         level = image_level(self.lean)
         seen = None if self.recording is None or self.recording.ignored is None else ~self.recording.ignored
         leant = None if level is None else level[number]
-        return image_corners(frame.rgb, frame.depth_m, self.camera, seen, leant)
+        side = QUICK_SIDE if self.follower is None else LONGEST_SIDE
+        return image_corners(frame.rgb, frame.depth_m, self.camera, seen, leant, longest_side=side)
 
     @property
     def numbers(self) -> Int[np.ndarray, " n"]:

@@ -7,7 +7,7 @@ from ebjax.geometry.camera import Camera, camera_over_floor
 from ebjax.geometry.lean_numbers import turned
 from ebjax.io.sequence import read_sequence
 from ebjax.odometry.image_corners import image_corners, levelled, with_depth
-from ebjax.odometry.image_matches import ImageFeatures, image_features, match_features, spread_rows
+from ebjax.odometry.image_matches import QUICK_SIDE, ImageFeatures, image_features, match_features, spread_rows
 from ebjax.odometry.whole_image import measure_motion
 
 WIDTH, HEIGHT, AHEAD = 640, 480, 0.27
@@ -258,6 +258,7 @@ def test_large_images_are_halved_and_pixels_stay_those_of_the_raw_image():
     one = image_features(np.roll(rgb, (6, 10), (0, 1)))
     rows, partners = match_features(one, two)
     assert two.unit_px == 2 and len(rows) > 100
+    assert image_features(rgb, longest_side=QUICK_SIDE).unit_px == 4
     moved = np.median(one.keypoints[rows] - two.keypoints[partners], 0)
     np.testing.assert_allclose(moved, [10, 6], atol=0.1)
 
