@@ -2,21 +2,25 @@
 
 import ast
 import csv
+import dataclasses
 import importlib
 import json
+import shlex
 import subprocess
 import sys
 from itertools import islice
 from pathlib import Path
 
 import cv2
+import jax
 import numpy as np
 import pytest
 
 import ebjax
+from ebjax.command import parse
 from ebjax.command import run as run_command
 from ebjax.front.log import Log
-from ebjax.front.options import Options, options_from
+from ebjax.front.options import Options, made_by, options_from
 from ebjax.io.map_file.file import MapFile
 from ebjax.io.trajectory import read_tum
 from ebjax.io.write_bag import write_bag
@@ -173,7 +177,8 @@ def test_a_mapper_says_what_the_log_gave(by_hand, closed, tmp_path):
 def test_a_robot_without_a_log_gets_its_files(world, tmp_path):
     log = ebjax.open_log(world, **OPTIONS)
     stopped = ebjax.Mapper(log)
-    mapper = ebjax.Mapper(log.camera, **OPTIONS)
+    made_before_jax_was_set = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), log.camera)
+    mapper = ebjax.Mapper(made_before_jax_was_set, **OPTIONS)
     for frame in islice(log, 12):
         mapper.add(frame)
         stopped.add(frame)
@@ -351,3 +356,17 @@ def test_a_demo_is_rendered_once(tmp_path, monkeypatch):
 def test_a_log_remembers_how_it_was_opened(world):
     log = ebjax.open_log(world, **OPTIONS)
     assert isinstance(log, Log) and log.options.view == OPTIONS["view"]
+
+
+def test_a_report_says_how_its_run_was_made():
+    given = {"min_agreeing": 1, "view": (0.2, 1.4, -0.6, 0.6), "motion": "floor", "mount": {"height_m": 0.4}}
+    options = options_from(given, Options, "test")
+    made = dict(made_by(options, Path("a run.bag")))
+    flags = "--min-agreeing 1 --view 0.2 1.4 -0.6 0.6 --motion floor --mount.height-m 0.4"
+    assert made["command"].startswith("python -m ebjax.slam 'a run.bag' ")
+    parsed = parse(Config, shlex.split(made["command"])[3:])
+    for field in dataclasses.fields(Options):
+        if field.name != "sequence":
+            assert getattr(parsed, field.name) == getattr(options, field.name)
+    assert len(shlex.split(made["command"])) == 4 + len(flags.split())
+    assert f"ebjax {ebjax.__version__}" in made["version"] and made["date"].endswith("UTC")

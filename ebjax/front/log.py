@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool
 
+from ebjax.command import setup_jax
 from ebjax.front.options import Options, options_from
 from ebjax.geometry.camera import Camera
 from ebjax.io.frames import Frames
@@ -79,6 +80,7 @@ class Log:
 
     @cached_property
     def _over_floor(self) -> tuple[Camera, tuple[str, ...]]:
+        setup_jax()
         return camera_over_floor(self.options, self.sequence)
 
     @cached_property

@@ -8,6 +8,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from ebjax.command import setup_jax
@@ -77,7 +79,8 @@ class Mapper:
         self.options = options_from({**(log.given if log else {}), **options}, Options, "Mapper")
         _check_reading(self.options, log)
         kernel_of(self.options.kernel)
-        self._camera = camera if isinstance(camera, Camera) else camera.camera
+        given = camera if isinstance(camera, Camera) else camera.camera
+        self._camera = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), given)  # made before JAX was set: float32
         self._view = log.view if log else partial(run_view, self.options, None)
         self._recording = log.recording if log else None
         self._path = None if map is None else Path(map)
