@@ -12,7 +12,6 @@ import numpy as np
 import tyro
 
 from ebjax.command import progress, run
-from ebjax.features.bench import bench
 from ebjax.features.equivariance import middle, stand_in, through_turn
 from ebjax.features.extractor import EXTRACTORS, Extractor, extractor, usable
 from ebjax.features.pair import Comparison, PlaneView, checked_quad, metric_view, quad_view, raw_view
@@ -107,22 +106,6 @@ class TurnConfig:
     """The figure, PNG."""
     seed: int = 0
     """Of the stand-in weights: which they are does not matter, see ebjax/features/equivariance.py."""
-
-
-@dataclass(frozen=True)
-class BenchConfig:
-    """Times matching and verification against a loop over OpenCV; compilation left out, the median of the turns."""
-
-    pairs: int = 20
-    """Pairs of views."""
-    keypoints: int = 2000
-    """Of each view."""
-    length: int = 512
-    """Of a descriptor."""
-    turns: int = 3
-    """How often each side runs."""
-    seed: int = 0
-    """Of the pairs and of RANSAC."""
 
 
 def check(config: Config) -> None:
@@ -279,17 +262,8 @@ def turn(config: TurnConfig) -> None:
     print(f"wrote {config.out}")
 
 
-def show_bench(config: BenchConfig) -> None:
-    """Prints both times."""
-    if min(config.pairs, config.keypoints, config.length, config.turns) < 1:
-        raise ValueError("--pairs, --keypoints, --length and --turns must be at least 1")
-    found = bench(config.pairs, config.keypoints, config.length, config.turns, config.seed)
-    print(f"{config.pairs} pairs of {config.keypoints} keypoints of {config.length} numbers", *found.lines(), sep="\n")
-
-
 COMMANDS: dict[str, tuple[Callable[[Any], None], type]] = {
     "table": (table, TableConfig),
-    "bench": (show_bench, BenchConfig),
     "turn": (turn, TurnConfig),
 }
 

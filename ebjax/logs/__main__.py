@@ -2,11 +2,9 @@
 
 import json
 import shlex
-import sys
-from collections.abc import Callable
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import tyro
 
@@ -108,31 +106,5 @@ def as_json(facts: Facts) -> str:
     return json.dumps(facts, indent=1, allow_nan=False, ensure_ascii=False)
 
 
-@dataclass(frozen=True)
-class BenchConfig:
-    """Times listing a large ROS bag of raw images and reading a frame, and compares the memory with a small bag's."""
-
-    size_gb: float = 4.0
-    """Of the large bag, written into a temporary folder and removed."""
-    kind: Literal["ros1", "mcap"] = "ros1"
-    """Of bag."""
-    frames: int = 30
-    """How many are read, spread over the bag."""
-
-
-def show_bench(config: BenchConfig) -> None:
-    """Prints the times and the memory."""
-    from ebjax.logs.bench import bench
-
-    if not config.size_gb > 0 or config.frames < 1:
-        raise ValueError("--size-gb must be above 0, --frames at least 1")
-    print("\n".join(bench(config.size_gb, config.kind, config.frames).lines()))
-
-
-COMMANDS: dict[str, tuple[Callable[[Any], None], type]] = {"bench": (show_bench, BenchConfig)}
-
 if __name__ == "__main__":
-    if sys.argv[1:2] and sys.argv[1] in COMMANDS:
-        run(*COMMANDS[sys.argv[1]], sys.argv[2:], needs_jax=False)
-    else:
-        run(main, Config, needs_jax=False)
+    run(main, Config, needs_jax=False)

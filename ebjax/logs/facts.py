@@ -8,8 +8,9 @@ import numpy as np
 from ebjax.io.camera_file import CameraFile
 from ebjax.io.logs.bag import open_files
 from ebjax.io.logs.camera import calibration_of, mounted
+from ebjax.io.logs.lacking import lacks
 from ebjax.io.logs.log import Log
-from ebjax.io.logs.mount_options import MOUNT, NOTHING, MountOptions
+from ebjax.io.logs.mount_options import NOTHING, MountOptions
 from ebjax.io.sequence import read_sequence
 from ebjax.logs.part_facts import Facts, camera_facts, depth_facts, image_facts, mount_facts, pose_facts, time_facts
 
@@ -51,7 +52,7 @@ def log_facts(
         "truth": None if log.truth is None else pose_facts(log.truth, stamps, close),
         "contents": list(log.contents),
         "notes": list(dict.fromkeys((*log.notes, *log.colour.notes, *notes))),
-        "missing": _missing(log, camera is None, pose is None, mount),
+        "missing": lacks(log, camera is None, pose is None, mount),
         "refused": refused,
         "ready": camera is not None and pose is not None and refused is None,
     }
@@ -79,15 +80,6 @@ def _tried(log: Log, camera: CameraFile, max_time_difference_s: float) -> tuple[
         return (), str(fault)
     missing = {f"{log.path}: {sentence}" for sentence in log.missing.values()}
     return tuple(note for note in sequence.notes if note not in missing), None
-
-
-def _missing(log: Log, no_camera: bool, no_mount: bool, mount: MountOptions) -> dict[str, str]:
-    missing = {}
-    if no_camera:
-        missing["camera"] = log.missing.get("camera", "give --camera FILE, any calibration of it")
-    if no_mount:
-        missing["mount"] = log.missing.get("mount", MOUNT) if mount == NOTHING else MOUNT
-    return missing | {what: log.missing[what] for what in ("odometry", "depth") if what in log.missing}
 
 
 def _without_path(value: Any, path: Path) -> Any:

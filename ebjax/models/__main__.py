@@ -1,6 +1,5 @@
-"""Converts, lists, checks and times the networks."""
+"""Converts, lists and checks the networks."""
 
-import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,20 +34,6 @@ class CheckConfig:
     """Of the stand-in weights; by default what the folder's README.md says."""
     networks: tuple[str, ...] = ()
     """Check these only; by default all there are."""
-
-
-@dataclass(frozen=True)
-class BenchConfig:
-    """Times forward passes against torch, float32 channels last, in one interleaved run; prints a Markdown table."""
-
-    networks: tuple[str, ...] = ("vgg16", "resnet50", "d2net", "superpoint", "netvlad-head")
-    """Which ones."""
-    batches: tuple[int, ...] = (1, 8)
-    """Images a call."""
-    turns: int = 9
-    """Calls of each contender; the median counts."""
-    one_core: bool = False
-    """Stay on one core and count processor time: company on the machine then hardly disturbs."""
 
 
 def convert(config: ConvertConfig) -> None:
@@ -91,32 +76,16 @@ def check(config: CheckConfig) -> None:
         sys.exit(1)
 
 
-def show_bench(config: BenchConfig) -> None:
-    """Prints one line a network and batch."""
-    from ebjax.models.bench import SIZES, bench, markdown
-
-    if unknown := [name for name in config.networks if name not in SIZES]:
-        raise ValueError(f"no network {unknown[0]!r} to time; there are {', '.join(SIZES)}")
-    if config.turns < 1 or not config.batches or min(config.batches) < 1:
-        raise ValueError("--turns and --batches must be at least 1")
-    if config.one_core:
-        os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[-1:])  # before JAX counts the cores
-    rows = (row for name in config.networks for row in bench(name, config.batches, config.turns, config.one_core))
-    for line in markdown(rows):
-        print(line, flush=True)
-
-
 COMMANDS = {
     "convert": Command(convert, ConvertConfig),
     "list": Command(show_list, ListConfig, needs_jax=False),
     "check": Command(check, CheckConfig),
-    "bench": Command(show_bench, BenchConfig),
 }
 
 
 def main(argv: list[str]) -> None:
     """Runs the command that the first argument names; help without one."""
-    run_one_of(COMMANDS, "Converts, lists, checks and times the networks.", argv)
+    run_one_of(COMMANDS, "Converts, lists and checks the networks.", argv)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Faster forms of a network for inference on a CPU, where that pays (times and errors: `python -m ebjax.models bench`).
+"""Faster forms of a network for inference on a CPU, where that pays (how much: `python -m ebjax.bench networks`).
 
 fast = accelerate(network)                 3x3 convolutions by Winograd: float32, equal to rounding
 fast = accelerate(network, "bfloat16")     and products of many channels in bfloat16 with float32 sums

@@ -1,4 +1,4 @@
-"""The same networks in torch, random weights, for `ebjax.models.bench` only; torch is no dependency of ebjax."""
+"""The same networks in torch, random weights, to compare times with; torch is no dependency of ebjax."""
 
 from collections.abc import Callable
 from typing import Any

@@ -23,7 +23,6 @@ from ebjax.io.images import BrokenFrame, read_fitting
 from ebjax.io.logs.camera import camera_in
 from ebjax.io.logs.mount_options import MountOptions
 from ebjax.models.fast import Arithmetic
-from ebjax.places.bench import CONTENDERS, bench
 from ebjax.places.descriptor import Descriptor, descriptor
 from ebjax.places.recall import recall_at
 from ebjax.places.search import SHORTLIST, check_ranking, search
@@ -240,37 +239,5 @@ def main(config: PlacesConfig) -> None:
         print(f"{shown}  of {recalls[0][2]} queries with an accepted reference (skipped ones count as not found)")
 
 
-@dataclass(frozen=True)
-class BenchConfig:
-    """Times the exhaustive search for the nearest descriptors against faiss and NumPy, turn by turn in one run."""
-
-    length: int = 4096
-    """Of a descriptor."""
-    top: int = 20
-    """Descriptors that are looked for."""
-    sizes: tuple[tuple[int, int], ...] = ((4096, 4096), (100_000, 100), (100_000, 1))
-    """References and queries of each line."""
-    turns: int = 5
-    """How often everyone searches; the median counts."""
-    seed: int = 0
-    """Of the descriptors."""
-
-
-def show_bench(config: BenchConfig) -> None:
-    """Prints a table: ms, and whether all found the same."""
-    if min(config.length, config.top, config.turns, *(n for size in config.sizes for n in size)) < 1:
-        raise ValueError("--length, --top, --sizes and --turns must be at least 1")
-    print(f"{'references':>10} {'queries':>8} {'ebjax':>9} {'faiss':>9} {'NumPy':>9}   ms; same answers")
-    for references, queries in config.sizes:
-        row = bench(references, queries, config.length, config.top, config.turns, config.seed)
-        times = "".join(f"{row.ms[name]:10.1f}" if name in row.ms else f"{'-':>10}" for name in CONTENDERS)
-        print(f"{references:10} {queries:8}{times}   {row.same:.4%}", flush=True)
-    if "faiss" not in row.ms:
-        print('faiss is not installed: pip install "ebjax[oracle]"')
-
-
 if __name__ == "__main__":
-    if sys.argv[1:2] == ["bench"]:
-        run(show_bench, BenchConfig, sys.argv[2:])
-    else:
-        run(main, PlacesConfig)
+    run(main, PlacesConfig)

@@ -129,7 +129,7 @@ def add_priors(
     )
 
 
-def _with_world(graph):
+def _with_world(graph: PoseGraph) -> PoseGraph:
     identity = jnp.asarray(graph.lie.identity, jnp.asarray(graph.poses).dtype)[None]
     return replace(
         graph,
@@ -142,18 +142,23 @@ def _with_world(graph):
 
 def between_poses(graph: PoseGraph) -> Bool[np.ndarray, " E"]:
     """Edges that measure one pose of the robot from another: no priors, no landmarks, no positions alone."""
-    ends = np.maximum(np.asarray(graph.i), np.asarray(graph.j)) < graph.pose_count
-    return ends if graph.position is None else ends & ~np.asarray(graph.position)
+    ends: np.ndarray = np.maximum(np.asarray(graph.i), np.asarray(graph.j)) < graph.pose_count
+    return ends if graph.position is None else np.asarray(ends & ~np.asarray(graph.position))
+
+
+def _apart(graph: PoseGraph) -> Int[np.ndarray, " E"]:
+    """By how many rows the ends of every edge differ."""
+    return np.asarray(np.abs(np.asarray(graph.i) - np.asarray(graph.j)))
 
 
 def steps_of(graph: PoseGraph) -> Bool[np.ndarray, " E"]:
     """Edges that join successive poses."""
-    return between_poses(graph) & (np.abs(np.asarray(graph.i) - np.asarray(graph.j)) == 1)
+    return np.asarray(between_poses(graph) & (_apart(graph) == 1))
 
 
 def loops_of(graph: PoseGraph) -> Bool[np.ndarray, " E"]:
     """Edges that join poses which are not successive."""
-    return between_poses(graph) & (np.abs(np.asarray(graph.i) - np.asarray(graph.j)) > 1)
+    return np.asarray(between_poses(graph) & (_apart(graph) > 1))
 
 
 def poses_alone(graph: PoseGraph) -> PoseGraph:
@@ -213,7 +218,8 @@ ROUNDING = 1e-5
 def negative(information: Float[np.ndarray, "E d d"]) -> Bool[np.ndarray, " E"]:
     """Matrices with an eigenvalue that is negative beyond rounding."""
     values = np.linalg.eigvalsh((information + information.swapaxes(1, 2)) / 2)
-    return values[:, 0] < -ROUNDING * np.abs(values).max(1)
+    below: np.ndarray = values[:, 0] < -ROUNDING * np.abs(values).max(1)
+    return below
 
 
 def components(n: int, i: Int[np.ndarray, " E"], j: Int[np.ndarray, " E"]) -> Int[np.ndarray, " N"]:

@@ -10,6 +10,7 @@ A step is in three parts, `linearise`, then the linear solve, `moved` and `accep
 in `minimise`, or be made from the host (`ebjax.posegraph.stepped`).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -213,6 +214,10 @@ def moved(
     return trial, squared_residuals(graph, trial)
 
 
+Report = Callable[[Any, Any, Any, Any], None]
+"""Called after a step with what `Tried` has: numbers, as arrays or as Python's."""
+
+
 def levenberg(
     graph: PoseGraph,
     structure: Structure,
@@ -220,7 +225,7 @@ def levenberg(
     width: Width,
     max_steps: int | Int[Array | np.ndarray, ""],
     rtol: float | Float[Array | np.ndarray, ""],
-    report: Any = None,
+    report: Report | None = None,
 ) -> Levenberg:
     """The solver of a graph; all but `kernel` and `report` may be traced."""
     edges = _Edges(graph.i, graph.j, graph.measured, graph.information, graph.robust, graph.fixed, graph.position)
@@ -234,7 +239,7 @@ def minimise(
     width: Width,
     max_steps: int | Int[Array, ""],
     rtol: float | Float[Array, ""],
-    report: Any = None,
+    report: Report | None = None,
 ) -> Solution:
     """Runs the loop; all but `kernel` may be traced. Not differentiable by itself: `adjoint.optimum` is."""
     graph = jax.tree.map(jnp.asarray, graph)

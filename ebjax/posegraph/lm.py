@@ -15,9 +15,12 @@ from ebjax.posegraph.adjoint import optimum
 from ebjax.posegraph.capacity import at_capacity, concrete, filled, on_host
 from ebjax.posegraph.consensus import RULES, believed
 from ebjax.posegraph.graph import PoseGraph, check
-from ebjax.posegraph.levenberg import Solution
+from ebjax.posegraph.levenberg import Report, Solution
 from ebjax.posegraph.linear import Structure, analyse
 from ebjax.posegraph.robust import Kernel, default_width, kernel_of, weight
+
+Prepared = tuple[tuple[Any, ...], tuple[Any, ...]]
+"""`params` and `rest` of `optimum`."""
 
 
 def solve(
@@ -29,7 +32,7 @@ def solve(
     rtol: float = 1e-9,
     solver: str = "auto",
     structure: Structure | None = None,
-    report: Callable | None = None,
+    report: Report | None = None,
 ) -> Solution:
     """Minimises sum_k rho(r_k^T information_k r_k), r = log(measured^-1 * i_from_j), from `graph.poses`.
 
@@ -74,15 +77,15 @@ def cut_off(
     squared = np.asarray(stepped.squared_residuals(full, full.poses))
     at = np.asarray(_default_width(graph, kernel) if width is None else width, squared.dtype)
     weights = _weights(squared, filled(at, len(squared), 1) if at.ndim else at, kernel)
-    return np.asarray(graph.robust) & (np.asarray(weights)[: len(graph.i)] == 0)
+    return np.asarray(np.asarray(graph.robust) & (np.asarray(weights)[: len(graph.i)] == 0))
 
 
 @partial(jax.jit, static_argnames="kernel")
-def _weights(squared, width, kernel):
+def _weights(squared: Array, width: Array, kernel: Kernel) -> Array:
     return weight(kernel, squared, width)
 
 
-def _default_width(graph, kernel):
+def _default_width(graph: PoseGraph, kernel: Kernel) -> float | np.ndarray:
     width = default_width(kernel, graph.lie.dim)
     if graph.position is None:
         return width
@@ -113,7 +116,9 @@ def compile_solve(graph: PoseGraph, **options: Any) -> Callable[[], Solution]:
     return lambda: program(*prepared)
 
 
-def _prepared(graph, kernel, width, solver, structure):
+def _prepared(
+    graph: PoseGraph, kernel: Kernel, width: Any, solver: str, structure: Structure | None
+) -> Solution | Prepared:
     """`params` and `rest` of `optimum`; the solution where there is nothing to solve."""
     check(graph)
     dtype = jax.dtypes.canonicalize_dtype(graph.poses.dtype)
@@ -139,14 +144,26 @@ def _prepared(graph, kernel, width, solver, structure):
     return params, (graph.i, graph.j, graph.robust, graph.position, structure, first)
 
 
-def _run(prepared, group, kernel, max_steps, rtol, report):
+def _run(
+    prepared: Prepared, group: str, kernel: Kernel, max_steps: int, rtol: float, report: Report | None
+) -> Solution:
     (poses, measured, information, width), (i, j, robust, position, structure, first) = prepared
     if not on_host(structure, prepared):
-        return _solve(*prepared, group=group, kernel=kernel, max_steps=max_steps, rtol=rtol, report=report)
+        found: Solution = _solve(*prepared, group=group, kernel=kernel, max_steps=max_steps, rtol=rtol, report=report)
+        return found
     graph = PoseGraph(poses, i, j, measured, information, robust, structure.fixed, group, position)
     return stepped.optimum(graph, structure, kernel, width, first, max_steps, rtol, report)
 
 
 @partial(jax.jit, static_argnames=("group", "kernel", "max_steps", "rtol", "report"))
-def _solve(params, rest, *, group, kernel, max_steps, rtol, report):
+def _solve(
+    params: tuple[Any, ...],
+    rest: tuple[Any, ...],
+    *,
+    group: str,
+    kernel: Kernel,
+    max_steps: int,
+    rtol: float,
+    report: Report | None,
+) -> Solution:
     return Solution(*optimum(group, kernel, max_steps, rtol, report, params, rest))

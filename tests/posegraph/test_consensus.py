@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from ebjax.bench.corridor import corridor
 from ebjax.evaluation.trajectory import arc_length_association, ate
 from ebjax.io.trajectory import read
 from ebjax.posegraph import STATUS, solve
-from ebjax.posegraph.bench import corridor
 from ebjax.posegraph.consensus import believed
 from ebjax.posegraph.falseloops import add_false_loops, error_m, loops_of
 from ebjax.posegraph.g2o import read_g2o

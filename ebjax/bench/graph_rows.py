@@ -1,7 +1,7 @@
-"""Times `solve` against gtsam: real graphs, growth with the path, batches, gradients. Host code; gtsam is the oracle.
+"""Rows of the tables of `solve` beside gtsam: real graphs, growth with the path, batches, gradients.
 
-Both sides run in one process, turn by turn, and a figure is the median of the turns. Compilation and the building of
-gtsam's graph are left out. Both stop at a relative decrease of 1e-9, gtsam also at its own absolute one of 1e-5.
+A figure is the median over turns. Compilation and the building of gtsam's graph are left out. Both stop at a relative
+decrease of 1e-9, gtsam also at its own absolute one of 1e-5.
 """
 
 import json
@@ -11,36 +11,32 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from statistics import median
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ebjax.bench.corridor import corridor
+from ebjax.bench.gtsam_solver import RTOL, STEPS, gtsam_solver
+from ebjax.bench.turns import in_turn
 from ebjax.posegraph import init
 from ebjax.posegraph.assembly import assemble, damped
 from ebjax.posegraph.factors import edge_costs, gauss_newton_blocks
 from ebjax.posegraph.g2o import read_g2o
-from ebjax.posegraph.graph import PoseGraph, make_graph, poses_alone
+from ebjax.posegraph.graph import PoseGraph, poses_alone
 from ebjax.posegraph.levenberg import STATUS, Solution
 from ebjax.posegraph.linear import Structure, analyse, linear_solve
 from ebjax.posegraph.lm import compile_solve, solve
-from ebjax.posegraph.oracle import RTOL, STEPS, gtsam_solver
 
 Row = dict[str, Any]
 
 
-def _timed(*runs: Callable[[], Any], turns: int) -> tuple[list[float], list[Any]]:
-    """Median seconds of every run, taken in turn, and their last answers."""
-    seconds: list[list[float]] = [[] for _ in runs]
+def _medians(*runs: Callable[[], Any], turns: int) -> tuple[list[float], list[Any]]:
+    """Median seconds of every run, and its answer."""
     answers = [jax.block_until_ready(run()) for run in runs]
-    for _ in range(turns):
-        for taken, run in zip(seconds, runs, strict=True):
-            start = time.perf_counter()
-            jax.block_until_ready(run())
-            taken.append(time.perf_counter() - start)
-    return [median(taken) for taken in seconds], answers
+    seconds = in_turn({str(k): run for k, run in enumerate(runs)}, turns)
+    return [float(np.median(taken)) for taken in seconds.values()], answers
 
 
 def _compiled(graph: PoseGraph, **options: Any) -> tuple[Callable[[], Solution], float]:
@@ -80,7 +76,7 @@ def _shares(graph: PoseGraph, structure: Structure, turns: int) -> Row:
         "factor": lambda: _step(structure, system, gradient),
         "cost": lambda: _cost(graph, poses),
     }
-    seconds, _ = _timed(*stages.values(), turns=turns)
+    seconds, _ = _medians(*stages.values(), turns=turns)
     return {f"{name} %": 100 * s / sum(seconds) for name, s in zip(stages, seconds, strict=True)}
 
 
@@ -98,7 +94,7 @@ def graphs(paths: list[Path], solver: str, turns: int) -> Iterator[Row]:
         shares = _shares(graph, structure, turns)
         for kernel, title in (("none", "L2"), ("cauchy", "Cauchy")):
             run, compile_s = _compiled(graph, kernel=kernel, structure=structure)
-            seconds, (found, (theirs, their_steps)) = _timed(run, gtsam_solver(graph, kernel), turns=turns)
+            seconds, (found, (theirs, their_steps)) = _medians(run, gtsam_solver(graph, kernel), turns=turns)
             reference = known.get(title, {}).get(start)
             yield {
                 "graph": f"{path.stem} {title}",
@@ -123,34 +119,6 @@ def _references(path: Path) -> dict[str, dict[str, float]]:
     return {"L2": known.get("L2", {}), "Cauchy": known.get("cauchy_width_1_all_edges", {})} if known else {}
 
 
-def corridor(poses: int, loops: int, seed: int = 0) -> PoseGraph:
-    """Out along a corridor that bends, and back: odometry with noise, closures between the two ways; SE(2).
-
-    Information allows for three times the noise, as is usual; the poses start from odometry.
-    """
-    rng = np.random.default_rng(seed)
-    half = poses // 2
-    turn = 0.02 * np.sin(np.arange(half) / 40)
-    steps = np.stack([np.full(half, 0.1), np.zeros(half), turn], 1)
-    back = np.stack([np.full(poses - 1 - half, 0.1), np.zeros(poses - 1 - half), -turn[::-1][: poses - 1 - half]], 1)
-    steps = np.concatenate([steps, back])
-    steps[half - 1, 2] += np.pi
-    first = np.sort(rng.choice(half - 2, loops, replace=False)) + 1
-    second = 2 * half - first
-    second = np.minimum(second, poses - 1)
-    i, j = np.concatenate([np.arange(poses - 1), first]), np.concatenate([np.arange(1, poses), second])
-    start = make_graph(
-        np.zeros((poses, 3)), i[: poses - 1], j[: poses - 1], steps, np.tile(np.eye(3), (poses - 1, 1, 1))
-    )
-    truth = init.to_matrices(init.odometry(start))
-    relative = init.from_matrices(np.linalg.inv(truth[i]) @ truth[j])
-    sigma = np.concatenate([np.tile([0.002, 0.001, 0.0005], (poses - 1, 1)), np.tile([0.02, 0.02, 0.005], (loops, 1))])
-    measured = relative + sigma * rng.normal(size=sigma.shape)
-    information = np.eye(3)[None] / (3 * sigma[:, :, None]) ** 2
-    graph = make_graph(np.zeros((poses, 3)), i, j, measured, information)
-    return replace(graph, poses=init.odometry(graph))
-
-
 def growth(sizes: tuple[int, ...], solver: str, turns: int) -> Iterator[Row]:
     """A corridor with 20 loops, longer and longer, under Cauchy; memory is what the process's peak grew by.
 
@@ -165,7 +133,7 @@ def growth(sizes: tuple[int, ...], solver: str, turns: int) -> Iterator[Row]:
         run, compile_s = _compiled(graph, kernel="cauchy", structure=structure)
         jax.block_until_ready(run())
         grown = _peak_mb() - before
-        (own_s,), (found,) = _timed(run, turns=turns)
+        (own_s,), (found,) = _medians(run, turns=turns)
         theirs = gtsam_solver(graph, "cauchy")
         start = time.perf_counter()
         _, their_steps = theirs()
@@ -207,7 +175,7 @@ def batch(count: int, poses: int, solver: str, turns: int) -> Iterator[Row]:
     jax.block_until_ready(together(measured, start))
     compile_s = time.perf_counter() - began
     runs = (lambda: together(measured, start), lambda: [run() for run in theirs])
-    seconds, (found, answers) = _timed(*runs, turns=turns)
+    seconds, (found, answers) = _medians(*runs, turns=turns)
     yield {
         "graphs": count,
         "poses": poses,
@@ -243,23 +211,10 @@ def gradients(paths: list[Path], solver: str, turns: int) -> Iterator[Row]:
             forward, backward = jax.jit(spread), jax.jit(jax.value_and_grad(spread))
             measured = jnp.asarray(graph.measured)
             runs = (partial(forward, measured), partial(backward, measured))
-            seconds, _ = _timed(*runs, turns=turns)
+            seconds, _ = _medians(*runs, turns=turns)
             yield {
                 "graph": f"{path.stem} {title}",
                 "forward ms": 1e3 * seconds[0],
                 "with gradient ms": 1e3 * seconds[1],
                 "times forward": seconds[1] / seconds[0],
             }
-
-
-def markdown(rows: list[Row]) -> str:
-    """The rows as a table."""
-    if not rows:
-        return ""
-    titles = list(rows[0])
-    lines = [titles, ["---"] * len(titles), *([_text(row[t]) for t in titles] for row in rows)]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
-
-
-def _text(value):
-    return value if isinstance(value, str) else f"{value:.3g}" if isinstance(value, float) else str(value)

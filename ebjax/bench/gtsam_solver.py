@@ -1,4 +1,4 @@
-"""A pose graph as gtsam optimises it, from the same start to the same relative decrease: the oracle of `bench`."""
+"""A pose graph as gtsam optimises it, from the same start to the same relative decrease."""
 
 from collections.abc import Callable
 from typing import Any

@@ -1,9 +1,10 @@
-"""Times forward passes against torch, float32 channels last, turn by turn in one run.
+"""Forward passes beside torch's, float32 channels last.
 
-A turn is one call of every contender; a figure is the median over turns, a ratio that of the medians. Run it on an
-otherwise idle machine, or on one core: torch's threads suffer more from company than ours.
+A figure is the median over turns, a ratio that of the medians. Run it on an otherwise idle machine, or on one core:
+torch's threads suffer more from company than ours.
 """
 
+import os
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ import numpy as np
 from flax import nnx
 from jaxtyping import Array, Float
 
+from ebjax.bench.turns import in_turn
 from ebjax.models.catalogue import find, resolve
 from ebjax.models.fast import accelerate
 from ebjax.models.floornet import FloorNet
@@ -32,6 +34,33 @@ SIZES = {
 }
 LARGE = ("d2net", "superpoint")
 """Their maps are so large that a batch is faster image by image (`jax.lax.map`)."""
+
+
+@dataclass(frozen=True)
+class NetworkConfig:
+    """Times forward passes beside torch's, float32 channels last; prints a Markdown table."""
+
+    networks: tuple[str, ...] = ("vgg16", "resnet50", "d2net", "superpoint", "netvlad-head")
+    """Which ones."""
+    batches: tuple[int, ...] = (1, 8)
+    """Images a call."""
+    turns: int = 9
+    """Calls of each contender; the median counts."""
+    one_core: bool = False
+    """Stay on one core and count processor time: company on the machine then hardly disturbs."""
+
+
+def bench_networks(config: NetworkConfig) -> None:
+    """Prints one line a network and batch."""
+    if unknown := [name for name in config.networks if name not in SIZES]:
+        raise ValueError(f"no network {unknown[0]!r} to time; there are {', '.join(SIZES)}")
+    if config.turns < 1 or not config.batches or min(config.batches) < 1:
+        raise ValueError("--turns and --batches must be at least 1")
+    if config.one_core:
+        os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[-1:])  # before JAX counts the cores
+    rows = (row for name in config.networks for row in rows_of(name, config.batches, config.turns, config.one_core))
+    for line in markdown(rows):
+        print(line, flush=True)
 
 
 @dataclass(frozen=True)
@@ -90,7 +119,7 @@ def compiled(network: Any, images: Float[Array, "B H W C"], one_by_one: bool = F
     return lambda: jax.block_until_ready(forward(state, images))
 
 
-def bench(name: str, batches: tuple[int, ...], turns: int, one_core: bool = False) -> Iterator[Row]:
+def rows_of(name: str, batches: tuple[int, ...], turns: int, one_core: bool = False) -> Iterator[Row]:
     """Yields a row for every batch.
 
     Args:
@@ -119,13 +148,8 @@ def bench(name: str, batches: tuple[int, ...], turns: int, one_core: bool = Fals
             key: compiled(net, jnp.asarray(images), name in LARGE) for key, net in ours.items()
         }
         results = {key: jax.tree.leaves(call()) for key, call in calls.items()}
-        spent: dict[str, list[float]] = {key: [] for key in calls}
-        for _ in range(turns):
-            for key, call in calls.items():
-                start = clock()
-                call()
-                spent[key].append(1e3 * (clock() - start))
-        median = {key: float(np.median(times)) for key, times in spent.items()}
+        seconds = in_turn(calls, turns, clock=clock)
+        median = {key: 1e3 * float(np.median(taken)) for key, taken in seconds.items()}
         errors = {key: _error(results["exact"], results[key]) for key in ("winograd", "bfloat16")}
         yield Row(name, SIZES[name], batch, median.pop("torch"), median, errors)
 

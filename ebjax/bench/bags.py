@@ -1,4 +1,4 @@
-"""Times listing a large ROS bag of raw images and reading a frame; memory is compared with a small bag's.
+"""Listing a large ROS bag of raw images and reading a frame; memory is compared with a small bag's.
 
 Every listing is a process of its own, `python -m ebjax.logs BAG`, measured as the operating system counts it.
 """
@@ -10,7 +10,7 @@ import tempfile
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -20,6 +20,25 @@ from ebjax.io.logs.open import open_log
 WIDTH, HEIGHT, RATE_HZ = 1280, 720, 15
 SMALL = 10
 """Images of the small bag."""
+
+
+@dataclass(frozen=True)
+class BagConfig:
+    """Times listing a large ROS bag of raw images and reading a frame, and compares the memory with a small bag's."""
+
+    size_gb: float = 4.0
+    """Of the large bag, written into a temporary folder and removed."""
+    kind: Literal["ros1", "mcap"] = "ros1"
+    """Of bag."""
+    frames: int = 30
+    """How many are read, spread over the bag."""
+
+
+def bench_bags(config: BagConfig) -> None:
+    """Prints the times and the memory."""
+    if not config.size_gb > 0 or config.frames < 1:
+        raise ValueError("--size-gb must be above 0, --frames at least 1")
+    print("\n".join(measured(config.size_gb, config.kind, config.frames).lines()))
 
 
 @dataclass(frozen=True)
@@ -45,7 +64,7 @@ class Timing:
         ]
 
 
-def bench(size_gb: float, kind: str, frames: int) -> Timing:
+def measured(size_gb: float, kind: str, frames: int) -> Timing:
     """Writes a large and a small bag into a temporary folder, lists both, reads frames of the large one.
 
     Args:

@@ -1,16 +1,17 @@
-"""What a lens and a tilt that changes every frame cost the floor view, turn by turn in one run; how well it samples.
+"""What a lens and a tilt that changes every frame cost the floor view, and how well it samples.
 
-All look at the same rectangle of floor, 1 cm a pixel. A turn is so many frames, taps included; a ratio is the median
+All look at the same rectangle of floor, 1 cm a pixel. A call is so many frames, taps included; a ratio is the median
 over turns of that to the pinhole's. PSNR is against 8 x 8 samples a pixel, of a picture of noise blurred by 2 px.
 """
 
 import dataclasses
-import time
+from functools import partial
 
 import jax
 import numpy as np
 from jaxtyping import Array, Float, UInt8
 
+from ebjax.bench.turns import in_turn
 from ebjax.geometry.camera import Camera, FloorView, camera_over_floor
 from ebjax.geometry.lens import Lens, lens
 from ebjax.views.floor_view import floor_view, view_taps
@@ -29,12 +30,30 @@ FINE = 4
 
 
 @dataclasses.dataclass(frozen=True)
-class Row:
-    """One line of the table: ms a frame, its ratio to the pinhole's, dB."""
+class LensConfig:
+    """Times the floor view through a pinhole and through lenses, under a tilt that changes every frame."""
 
-    ms: float
-    ratio: float
-    psnr_db: float
+    frames: int = 40
+    """Of a turn."""
+    turns: int = 7
+    """How often each runs."""
+    seed: int = 0
+    """Of the picture and the tilts."""
+
+
+def bench_lenses(config: LensConfig) -> None:
+    """Prints a line a lens: ms a frame, its ratio to the pinhole's, PSNR."""
+    if config.frames < 1 or config.turns < 1:
+        raise ValueError(f"--frames is {config.frames}, --turns {config.turns}; give at least 1 of each")
+    random = np.random.default_rng(config.seed)
+    rgb, levels = picture(random), tilts(config.frames, random)
+    seen = {name: (of := camera(*values), from_camera(of, FLOOR)) for name, values in LENSES.items()}
+    calls = {name: partial(look_at_all, rgb, levels, view, of) for name, (of, view) in seen.items()}
+    ms = {name: 1e3 * seconds / config.frames for name, seconds in in_turn(calls, config.turns).items()}
+    print("| lens | ms a frame | of the pinhole's | PSNR dB |\n|---|---|---|---|")
+    for name, times in ms.items():
+        ratio = np.median(times / ms["pinhole"])
+        print(f"| {name} | {np.median(times):.2f} | {ratio:.2f} | {psnr_db(rgb, *seen[name]):.1f} |")
 
 
 def camera(focal_px: float, glass: Lens) -> Camera:
@@ -52,30 +71,22 @@ def look(
     return floor_view(rgb, view_taps(*seen_by))
 
 
-def bench(frames: int, turns: int, seed: int) -> dict[str, Row]:
-    """Looks through every lens in turn."""
-    random = np.random.default_rng(seed)
-    rgb = picture(random)
+def look_at_all(
+    rgb: UInt8[np.ndarray, "H W 3"], levels: Float[np.ndarray, "N 4 4"], view: RunView, of: Camera
+) -> Float[Array, "h w 3"]:
+    """The floor view of a frame for every tilt; the last is returned."""
+    for level in levels:
+        shown = look(rgb, level, view, of)
+    return shown
+
+
+def tilts(frames: int, random: np.random.Generator) -> Float[np.ndarray, "N 4 4"]:
+    """Nods by 0.7 degrees."""
     levels = np.tile(np.eye(4, dtype=np.float32), (frames, 1, 1))
     nod = np.radians(random.normal(0, 0.7, frames))
     levels[:, 0, 0] = levels[:, 2, 2] = np.cos(nod)
     levels[:, 0, 2], levels[:, 2, 0] = np.sin(nod), -np.sin(nod)
-    made = {name: (of := camera(*values), from_camera(of, FLOOR)) for name, values in LENSES.items()}
-    spent: dict[str, list[float]] = {name: [] for name in made}
-    for of, view in made.values():
-        jax.block_until_ready(look(rgb, levels[0], view, of))
-    for _ in range(turns):
-        for name, (of, view) in made.items():
-            start = time.perf_counter()
-            for level in levels:
-                shown = look(rgb, level, view, of)
-            jax.block_until_ready(shown)
-            spent[name].append(1e3 * (time.perf_counter() - start) / frames)
-    pinhole = np.array(spent["pinhole"])
-    return {
-        name: Row(float(np.median(times)), float(np.median(np.array(times) / pinhole)), psnr_db(rgb, *made[name]))
-        for name, times in spent.items()
-    }
+    return levels
 
 
 def picture(random: np.random.Generator) -> UInt8[np.ndarray, "480 640 3"]:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from ebjax.bench import __main__ as bench
+from ebjax.bench import drive
 from ebjax.bench.curves import running
 from ebjax.bench.programs import counted
 from ebjax.bench.timeline import WARM, Timeline
@@ -80,7 +81,7 @@ def test_what_was_measured_until_it_is_stopped_is_told(rendered, tmp_path, capsy
             told(engine.add(frame))
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(bench, "run_pipeline", stopped)
+    monkeypatch.setattr(drive, "run_pipeline", stopped)
     with pytest.raises(SystemExit):
         bench.main(["drive", str(rendered), "--out", str(tmp_path / "bench")])
     assert "30 keyframes are too few" in capsys.readouterr().out

@@ -1,19 +1,19 @@
-"""Times matching and verification of many pairs against a loop over OpenCV, in one process and turn by turn.
+"""Matching and verification of many pairs beside a loop over OpenCV.
 
 The pairs are made up: half of the keypoints of a view are seen again, moved rigidly and described with noise; the rest
 are other keypoints. Both sides look for mutual nearest neighbours and for the motion most of them agree on.
 """
 
-import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from statistics import median
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ebjax.bench.turns import in_turn
 from ebjax.features.matching import Features
 from ebjax.features.pair import KEEP
 from ebjax.features.verify import Verified, verify
@@ -22,21 +22,34 @@ SIDE_PX, TOLERANCE_PX, SHARE = 400.0, 3.0, 0.5
 
 
 @dataclass(frozen=True)
-class Timing:
-    """Seconds for all pairs, the median over the turns, and the share of pairs whose motion came out right."""
+class MatchingConfig:
+    """Times matching and verification of many pairs beside OpenCV."""
 
-    ours_s: float
-    opencv_s: float
-    ours_right: float
-    opencv_right: float
+    pairs: int = 20
+    """Pairs of views."""
+    keypoints: int = 2000
+    """Of each view."""
+    length: int = 512
+    """Of a descriptor."""
+    turns: int = 3
+    """How often each side runs."""
+    seed: int = 0
+    """Of the pairs and of RANSAC."""
 
-    def lines(self) -> list[str]:
-        """One line for each side."""
-        ratio = self.opencv_s / self.ours_s
-        return [
-            f"ebjax  {self.ours_s:7.2f} s, {self.ours_right:.0%} of the motions right",
-            f"OpenCV {self.opencv_s:7.2f} s, {self.opencv_right:.0%}; {ratio:.1f} times as long",
-        ]
+
+def bench_matching(config: MatchingConfig) -> None:
+    """Prints both times, and the shares of pairs whose motion came out right."""
+    if min(config.pairs, config.keypoints, config.length, config.turns) < 1:
+        raise ValueError("--pairs, --keypoints, --length and --turns must be at least 1")
+    query, reference, truth = make_pairs(config.pairs, config.keypoints, config.length, config.seed)
+    ours, theirs = verifying(query, reference, config.seed), partial(opencv_motions, query, reference)
+    taken = in_turn({"ebjax": ours, "OpenCV": theirs}, config.turns)
+    seconds = {name: float(np.median(times)) for name, times in taken.items()}
+    right = _right(list(np.asarray(ours().query_from_reference)), truth), _right(theirs(), truth)
+    print(f"{config.pairs} pairs of {config.keypoints} keypoints of {config.length} numbers")
+    print(f"ebjax  {seconds['ebjax']:7.2f} s, {right[0]:.0%} of the motions right")
+    ratio = seconds["OpenCV"] / seconds["ebjax"]
+    print(f"OpenCV {seconds['OpenCV']:7.2f} s, {right[1]:.0%}; {ratio:.1f} times as long")
 
 
 def make_pairs(pairs: int, keypoints: int, length: int, seed: int) -> tuple[Features, Features, np.ndarray]:
@@ -69,7 +82,15 @@ def _ours(query: Features, reference: Features, keys: Array, keep: int) -> Verif
     return jax.lax.map(one, (query, reference, keys))
 
 
-def _opencv(query: Features, reference: Features) -> list[np.ndarray | None]:
+def verifying(query: Features, reference: Features, seed: int) -> Callable[[], Verified]:
+    """Our way: all pairs in one program."""
+    pairs, keypoints = query.valid.shape
+    keys = jax.random.split(jax.random.key(seed), pairs)
+    return lambda: jax.block_until_ready(_ours(query, reference, keys, min(KEEP, keypoints)))
+
+
+def opencv_motions(query: Features, reference: Features) -> list[np.ndarray | None]:
+    """query_from_reference, 2x3, of every pair; None where none is found."""
     import cv2
 
     matcher, found = cv2.BFMatcher(cv2.NORM_L2, crossCheck=True), []
@@ -91,30 +112,3 @@ def _right(motions: list[np.ndarray | None], truth: Float[np.ndarray, "N 3 3"]) 
         for motion, true in zip(motions, truth, strict=True)
     ]
     return float(np.mean(np.array(errors) < TOLERANCE_PX))
-
-
-def bench(pairs: int, keypoints: int, length: int, turns: int, seed: int = 0) -> Timing:
-    """Times both.
-
-    Args:
-      pairs: of views.
-      keypoints: of each view.
-      length: of a descriptor.
-      turns: how often; compilation is left out.
-      seed: of the pairs and of RANSAC.
-    """
-    query, reference, truth = make_pairs(pairs, keypoints, length, seed)
-    keep = min(KEEP, keypoints)
-    keys = jax.random.split(jax.random.key(seed), pairs)
-    ours = jax.block_until_ready(_ours(query, reference, keys, keep))
-    seconds: dict[str, list[float]] = {"ours": [], "opencv": []}
-    theirs: list[np.ndarray | None] = []
-    for _ in range(turns):
-        start = time.perf_counter()
-        ours = jax.block_until_ready(_ours(query, reference, keys, keep))
-        seconds["ours"].append(time.perf_counter() - start)
-        start = time.perf_counter()
-        theirs = _opencv(query, reference)
-        seconds["opencv"].append(time.perf_counter() - start)
-    right = _right(list(np.asarray(ours.query_from_reference)), truth), _right(theirs, truth)
-    return Timing(median(seconds["ours"]), median(seconds["opencv"]), *right)
