@@ -110,12 +110,23 @@ def drift(truth: Float[np.ndarray, "N 3"], path: Float[np.ndarray, "N 3"], stret
 
 
 def reason_counts(reasons: list[str]) -> dict[str, int]:
-    """Candidates by reason, the numbers in them left out, most frequent first."""
-    plain = [
-        " ".join(word for word in r.replace(",", "").split() if not any(c.isdigit() for c in word)) for r in reasons
-    ]
-    names, counts = np.unique(plain, return_counts=True) if plain else (np.array([], str), np.array([], int))
-    return {str(names[k]): int(counts[k]) for k in np.argsort(-counts, kind="stable")}
+    """Candidates by reason, most frequent first; numbers that differ within a reason are left out, as "…"."""
+    found: dict[str, list[list[str]]] = {}
+    for reason in reasons:
+        words = reason.split()
+        found.setdefault(" ".join("" if _has_digit(word) else word for word in words), []).append(words)
+    counts = {" ".join(map(_common, zip(*rows, strict=True))): len(rows) for rows in found.values()}
+    return dict(sorted(counts.items(), key=lambda item: -item[1]))
+
+
+def _common(words: tuple[str, ...]) -> str:
+    """A word that all have, or "…" and what follows the number."""
+    end = words[0][-1] if words[0][-1] in ",;:" else ""
+    return words[0] if len(set(words)) == 1 else f"…{end}"
+
+
+def _has_digit(word: str) -> bool:
+    return any(letter.isdigit() for letter in word)
 
 
 def spread_rows(rows: Int[np.ndarray, " K"], count: int) -> Int[np.ndarray, " M"]:

@@ -5,8 +5,10 @@ one program for all.
 """
 
 import math
+import os
 from collections.abc import Callable
-from functools import partial
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import jax
@@ -109,6 +111,7 @@ def painter(
     most = {name: max(8, 1 << (max(map(len, each)) - 1).bit_length()) for name, each in near.items()}
 
     def paint(number: int, floor: Float[Array, "H W C"]) -> Float[Array, "H W C"]:
+        _compile(tuple(most.items()), floor.shape, blocks.texel_m)
         direction = jnp.asarray(blocks.direction(number), jnp.float32)
         for order, (name, kind) in enumerate(marks.items()):
             chosen = near[name][number]
@@ -129,6 +132,19 @@ def painter(
         return floor.at[..., :3].set(jnp.clip(floor[..., :3], 0.01, 0.95))
 
     return paint
+
+
+@lru_cache(maxsize=16)
+def _compile(most: tuple[tuple[str, int], ...], shape: tuple[int, ...], texel_m: float) -> None:
+    """Compiles the programs of all kinds of marks beside each other, once; JAX would do it one after another."""
+
+    def compile_kind(one: tuple[str, int]) -> None:
+        (name, count), floor, direction = one, np.zeros(shape, np.float32), np.zeros(2, np.float32)
+        none = np.zeros((count, 2), np.float32), np.zeros(count, np.int32), np.zeros(count, bool)
+        wear.paint(floor, name, *none, direction, np.float32(0), texel_m, key=jax.random.key(0))
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        list(pool.map(compile_kind, most))
 
 
 def lay(

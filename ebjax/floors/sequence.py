@@ -6,6 +6,7 @@ the seed and its index. Nothing is written here.
 
 import dataclasses
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
 import jax
@@ -179,6 +180,11 @@ def _expose(
     return image, sensor.depth_image(depth_m, config, key=depth_key)
 
 
+def _compile_exposing(camera: Camera, config: SensorConfig) -> None:
+    radiance = np.zeros((camera.height, camera.width, 3), np.float32)
+    _expose(radiance, radiance[..., 0], np.float32(1), camera, config, key=jax.random.key(0))
+
+
 def moment_times(height: int, config: CorridorConfig) -> Float[np.ndarray, "*s"]:
     """When a frame is seen: one a moment of an open shutter, one a row of a rolling one; s from its middle."""
     times = np.zeros(())
@@ -270,6 +276,7 @@ def record(
     camera, of_pass = make_camera(config.camera, calibration), lights(config, rng)
     rays = None if camera.lens.model == "pinhole" else bent_rays(camera)
     furniture, paints = furnish(plan, config.landmarks_per_m, rng)
+    exposing = ThreadPoolExecutor(1).submit(_compile_exposing, camera, config.sensor)  # beside the floor's programs
     walks = passers.plan_walks(poses, config.robot.frame_s, config.plan.width_m / 2, config.passers, rng)
     floor = floors_of(plan, config.floor, key=floor_key, photographs=photographs)
     scene = make_scene(plan, floor(0), config.plan.door_spacing_m, furniture, paints, ramp)
@@ -287,6 +294,7 @@ def record(
         return np.asarray(image), np.asarray(depth)
 
     # Compiled here, once, so that threads need not race to do it.
+    exposing.result()
     frame(0)
     poses_of = world_from_base, world_from_body, odom_from_base
     return Recording(1000.0 + times_s, *poses_of, camera, frame, scene)

@@ -130,7 +130,7 @@ def remembering(options: Options, at_end: contextlib.ExitStack) -> Remember | No
         return None
     folder = options.cache
 
-    def remember(name: str, weights: Path | None) -> Callable[[Callable], Callable]:
+    def remember(name: str, weights: Path | None) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
         if is_own(name):
             return lambda function: function
         cache = open_cache(folder, name, weights, arithmetic=options.arithmetic, use="slam")

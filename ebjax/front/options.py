@@ -2,8 +2,11 @@
 
 import dataclasses
 import difflib
+import shlex
 import typing
 from collections.abc import Mapping
+from datetime import UTC, datetime
+from importlib import metadata
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -71,11 +74,47 @@ def options_from(given: Mapping[str, Any], config_class: type[Config], source: s
     return config_from(values, config_class, source)
 
 
+def made_by(options: Any, log: Path) -> list[list[str]]:
+    """How a run was made: the command, settings that are not the defaults, version and date, a row each."""
+    from ebjax import __version__
+
+    flags = differences(options, type(options)())
+    flags.pop("--sequence", None)
+    words = [word for name, values in flags.items() for word in (name, *values)]
+    return [
+        ["command", shlex.join(["python", "-m", "ebjax.slam", str(log), *words])],
+        ["settings", "defaults, but for those in the command; all are in config.yaml"],
+        ["version", f"ebjax {__version__}, JAX {metadata.version('jax')}"],
+        ["date", f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC"],
+    ]
+
+
+def differences(options: Any, usual: Any, prefix: str = "--") -> dict[str, list[str]]:
+    """The flags, with their values, of options that differ from others of their class."""
+    found: dict[str, list[str]] = {}
+    hints = typing.get_type_hints(type(options), include_extras=True)
+    for field in dataclasses.fields(options):
+        value, other = getattr(options, field.name), getattr(usual, field.name)
+        name = prefix + field.name.replace("_", "-")
+        if dataclasses.is_dataclass(value):
+            found |= differences(value, other, prefix if _unnamed(hints[field.name]) else f"{name}.")
+        elif value != other and isinstance(value, bool):
+            found[name if value else f"{prefix}no-{name.removeprefix(prefix)}"] = []
+        elif value != other:
+            found[name] = list(map(str, value)) if isinstance(value, tuple | list) else [str(value)]
+    return found
+
+
+def _unnamed(hint: Any) -> bool:
+    """Whether the flags of a group have no prefix."""
+    return any(getattr(one, "name", None) == "" for one in typing.get_args(hint)[1:])
+
+
 def _groups(config_class: type[Any]) -> dict[str, str | None]:
     """Every key and the group that it lies in: those of groups whose flags have no prefix come without it too."""
     found: dict[str, str | None] = {field.name: None for field in dataclasses.fields(config_class)}
     for name, kind in typing.get_type_hints(config_class, include_extras=True).items():
-        inner, *extra = typing.get_args(kind) if typing.get_origin(kind) is Annotated else (kind,)
-        if any(getattr(one, "name", None) == "" for one in extra) and dataclasses.is_dataclass(inner):
+        inner = typing.get_args(kind)[0] if typing.get_origin(kind) is Annotated else kind
+        if _unnamed(kind) and dataclasses.is_dataclass(inner):
             found |= {field.name: name for field in dataclasses.fields(inner) if field.name not in found}
     return found

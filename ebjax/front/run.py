@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ebjax.command import dump_config
+from ebjax.front.options import made_by
 from ebjax.io.atomic import whole_folder
 from ebjax.io.sequence import Sequence
 from ebjax.mapping.export import export_run
@@ -19,6 +20,7 @@ from ebjax.slam.run import Run as Thought
 from ebjax.viz.rtabmap_copy import write_rtabmap_copy
 from ebjax.viz.run_folder import trajectory_figure, write_run
 from ebjax.viz.run_metrics import run_metrics, summary_lines
+from ebjax.viz.run_report import write_report
 
 FILES = ("report.html", "trajectory.tum", "loop_closures.csv", "pose_graph.g2o", "metrics.json", "floor_map.png")
 
@@ -136,10 +138,12 @@ class Run(Thought):
         """
         out, sequence, options = Path(folder), self.sequence, self.driven.options
         with whole_folder(out) as partial:
-            floor = write_run(partial, sequence, self.driven.load, self, self.metrics, options.map_metres_per_px)
-            exported = export_run(partial, out, sequence, self, floor)
+            floor, cells = write_run(partial, sequence, self, self.metrics, options.map_metres_per_px)
+            exported = export_run(partial, out, sequence, self, floor, cells)
             copied = write_rtabmap_copy(partial, out, sequence, self)
             dump_config(options, partial / "config.yaml")
+            made = made_by(options, sequence.path)
+            write_report(partial, sequence, self.driven.load, self, self.metrics, made)
         steps = () if self.motion is None else ("steps.csv",)
         names = (*FILES[:2], *steps, *FILES[2:], *exported.files)
         return Saved(out, names, (*exported.notes, *copied))

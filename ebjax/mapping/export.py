@@ -5,10 +5,10 @@ import csv
 import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, Int8, UInt8
 
 from ebjax.io.atomic import whole_folder
 from ebjax.io.camera_file import CameraFile
@@ -17,8 +17,9 @@ from ebjax.io.map_file.reader import MapReader
 from ebjax.io.nerfstudio import write_transforms
 from ebjax.io.sequence import Sequence as LogSequence
 from ebjax.io.trajectory import write_tum
-from ebjax.mapping.contents import CLOSURE, Contents, contents_lines, plural, read_contents, session_line
-from ebjax.mapping.looked_by import LookedBy, camera_file
+from ebjax.mapping.contents import CLOSURE, Contents, plural, read_contents
+from ebjax.mapping.looked_by import camera_file
+from ebjax.mapping.map_page import map_page
 from ebjax.posegraph.g2o import format_g2o
 from ebjax.slam.map import FloorMap, mosaic
 from ebjax.slam.packed import floor_of, view_of
@@ -27,8 +28,7 @@ from ebjax.slam.world import matrices
 from ebjax.viz import figures
 from ebjax.viz.motion import entries
 from ebjax.viz.nav2_map import write_nav2_map
-from ebjax.viz.occupancy import UNKNOWN, occupancy
-from ebjax.viz.report import report
+from ebjax.viz.occupancy import UNKNOWN, floor_only, occupancy
 
 COLUMNS = (
     *("session_i", "i", "session_j", "j", "name_i", "name_j", "time_i_s", "time_j_s", "direction", "distance"),
@@ -69,11 +69,14 @@ def export_map(kept: MapReader, out: Path, metres_per_px: float) -> Exported:
             write_transforms(folder / "transforms.json", *_photographs(contents, out))
         with _noted(notes, folder, out):
             _write_pairs(folder / "pairs.txt", contents, notes)
-        (folder / "report.html").write_text(_page(kept.path, contents, floor), encoding="utf-8")
+        files = sorted(file.name for file in folder.iterdir())
+        (folder / "report.html").write_text(map_page(kept.path, contents, floor, files), encoding="utf-8")
         return Exported(tuple(sorted(file.name for file in folder.iterdir())), tuple(notes))
 
 
-def export_run(folder: Path, out: Path, sequence: LogSequence, result: Run, floor: FloorMap) -> Exported:
+def export_run(
+    folder: Path, out: Path, sequence: LogSequence, result: Run, floor: FloorMap, cells: Int8[np.ndarray, "H W"]
+) -> Exported:
     """Writes of a run what other programs take: nav2_map.yaml and .png, transforms.json, pairs.txt.
 
     Args:
@@ -82,13 +85,10 @@ def export_run(folder: Path, out: Path, sequence: LogSequence, result: Run, floo
       sequence: what was run.
       result: of the pipeline.
       floor: the run's floor map.
+      cells: which of its pixels are free.
     """
     frames, camera, before = result.keyframes, camera_file(result.camera), set(folder.iterdir())
     notes: list[str] = []
-    looked = LookedBy(camera, np.asarray(result.view.floor_from_view, np.float64), np.asarray(result.view.seen))
-    floors = map(result.looked.floor, range(len(frames))) if sequence.has_depth else None
-    poses = result.poses[frames]
-    cells = occupancy(floors, looked.seen, looked.floor_from_view, camera.base_from_camera, poses, floor)
     write_nav2_map(folder / "nav2_map.yaml", cells, floor.extent, floor.metres_per_px)
     names = [sequence.names[frame] for frame in frames]
     closures = np.stack([result.candidates.i, result.candidates.j], 1)[result.kept]
@@ -97,7 +97,7 @@ def export_run(folder: Path, out: Path, sequence: LogSequence, result: Run, floo
     if sequence.files:
         images = [relative(sequence.files[frame], out) for frame in frames]
         with _noted(notes, folder, out):
-            write_transforms(folder / "transforms.json", camera, matrices(poses), images)
+            write_transforms(folder / "transforms.json", camera, matrices(result.poses[frames]), images)
     return Exported(tuple(sorted(file.name for file in set(folder.iterdir()) - before)), tuple(notes))
 
 
@@ -156,13 +156,15 @@ def _write_floor(
     masks = (floor & one.seen for floor, one in zip(views.floors(), looked, strict=True))
     shown = np.stack([one.floor_from_view for one in looked])
     floor = mosaic(views.images(), seen, shown, known.pose[rows], masks=masks, metres_per_px=metres_per_px)
-    write_nav2_map(folder / "nav2_map.yaml", _cells(views, contents, rows, floor), floor.extent, floor.metres_per_px)
+    cells = _cells(views, contents, rows, floor)
+    write_nav2_map(folder / "nav2_map.yaml", cells, floor.extent, floor.metres_per_px)
     if views.without_image:
         notes.append(f"{kept.path}: {plural(views.without_image, 'keyframe')} without a floor view (--no-views)")
     if views.without_image == len(rows):
         return None
     closures = contents.ends(contents.of_kind(CLOSURE) & contents.edges.kept)
-    png = figures.floor_map(floor.image, floor.extent, *_drawn(contents, closures))
+    clear = floor_only(floor, cells)
+    png = figures.floor_map(clear.image, clear.extent, *_drawn(contents, closures))
     (folder / "floor_map.png").write_bytes(png)
     return png
 
@@ -267,26 +269,3 @@ def _write_pairs(path: Path, contents: Contents, notes: list[str]) -> None:
     closures = contents.ends(contents.of_kind(CLOSURE) & contents.edges.kept)
     pairs = row_of[np.concatenate([closures, follows])]
     write_pairs(path, names, pairs[pairs[:, 0] != pairs[:, 1]])
-
-
-def _page(path: Path, contents: Contents, floor: bytes | None) -> str:
-    closures = np.flatnonzero(contents.of_kind(CLOSURE) & contents.edges.kept)
-    edges, known = contents.edges, contents.keyframes
-    mask = np.isin(np.arange(len(edges)), closures)
-    table = [
-        [
-            f"{known.session[i]}: {known.name[i]}",
-            f"{known.session[j]}: {known.name[j]}",
-            "the opposite side" if edges.opposing[k] else "the same side",
-            *map(float, (*edges.i_from_j[k, :2], np.degrees(edges.i_from_j[k, 2]))),
-        ]
-        for k, (i, j) in zip(closures, contents.ends(mask).tolist(), strict=True)
-    ]
-    lines = [session_line(contents, one) for one in contents.sessions]
-    sections: list[dict[str, Any]] = [{"title": "Sessions", "text": "\n\n".join(lines)}]
-    if floor is not None:
-        caption = "Every floor view laid where the map says it was seen, with the path."
-        sections.append({"title": "Map of the floor", "figures": [{"png": floor, "caption": caption}]})
-    columns = ["later", "earlier", "seen from", "x, m", "y, m", "heading, deg"]
-    sections.append({"title": "Loop closures", "table": {"columns": columns, "rows": table}})
-    return report({"title": path.name, "text": contents_lines(path, contents)[0], "sections": sections})

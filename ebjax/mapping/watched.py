@@ -1,6 +1,7 @@
 """A run that is watched as it is driven: how far it is on stderr, and its map as it comes in rerun."""
 
 import contextlib
+import sys
 from collections.abc import Callable
 
 import numpy as np
@@ -41,6 +42,8 @@ class Watched:
             ticking.update(update.frame, len(engine.numbers), closures, update.milliseconds)
             if update.frame + 1 == self._total:
                 self._ticking.close()
+                if isinstance(ticking, PlainLines):
+                    print(f"frame {self._total:,} was the last: thinking the run over", file=sys.stderr, flush=True)
 
         return told
 

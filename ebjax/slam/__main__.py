@@ -4,19 +4,20 @@ import contextlib
 import dataclasses
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import tyro
 
 from ebjax.command import run
 from ebjax.front.close import closing, remembering
-from ebjax.front.demo import demo
+from ebjax.front.demo import compile_engine, demo
 from ebjax.front.log import Log
 from ebjax.front.options import Options
 from ebjax.mapping.localised_run import localise_run
 from ebjax.mapping.map_options import MapOptions, check_map_options, look_after
 from ebjax.viz.live import Live
-from ebjax.viz.run_metrics import summary_lines
+from ebjax.viz.run_metrics import brief_lines, summary_lines
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,8 +44,9 @@ def main(config: Config) -> None:
             raise ValueError(f"--{'live' if config.live else 'save-rrd'} shows a run: name a LOG before --map")
         print("\n".join(look_after(config.map, config, config.out, config.map_metres_per_px, config)))
         return
-    if config.sequence is None:
-        config = dataclasses.replace(config, sequence=demo(config.out / "sequence"))
+    alone = config.sequence is None
+    if alone:
+        config = dataclasses.replace(config, sequence=demo(config.out / "sequence", partial(compile_engine, config)))
     log = Log(config)
     with contextlib.ExitStack() as at_end:
         if config.localise and config.map is not None:
@@ -59,9 +61,12 @@ def main(config: Config) -> None:
         live = watching(config, at_end)
         result = at_end.enter_context(closing(log, map=config.map, live=live, began_s=began_s, say=print))
         saved = result.save(config.out)
-        print("\n".join((*saved.notes, *summary_lines(result.metrics))))
         for line in result.warnings:
             print(f"warning: {line}", file=sys.stderr)
+        if alone:
+            print("\n".join((*brief_lines(result.metrics), f"look at {config.out / 'report.html'}")))
+            return
+        print("\n".join((*saved.notes, *summary_lines(result.metrics))))
         print(saved)
 
 

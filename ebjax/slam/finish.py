@@ -78,15 +78,28 @@ def finish(engine: Engine, again: Again) -> Run:
     """
     read = len(engine.keyframes) - engine.start
     if read < 2:
-        raise ValueError(f"{read} of {read + len(engine.broken)} frames could be read; at least two are needed")
-    begun = time.perf_counter()
+        raise ValueError(why_too_few(engine, read))
+    begun, driven_s = time.perf_counter(), engine.seconds.get("frames", 0.0)
     engine.corrector.close()
     moved = None
     if engine.config.motion != "wheels":
         moved = think_over(engine, again)
         engine = moved.engine
-    engine.seconds["motion"] = time.perf_counter() - begun
+    again_s = engine.seconds.get("frames", 0.0) - driven_s  # counted already
+    engine.seconds["motion"] = time.perf_counter() - begun - again_s
     return concluded(engine, moved)
+
+
+def why_too_few(engine: Engine, read: int) -> str:
+    """Why there is no path: images that cannot be read, or a robot that stood still."""
+    if read == 0 or engine.broken or len(engine.frames) < 2:
+        return f"{read} of {read + len(engine.broken)} frames could be read; at least two are needed"
+    by, other = ("floor", "") if engine.follower is not None else ("odometry", ", or --motion floor where it did drive")
+    far = f"{engine.config.keyframe_m:g} m and {engine.config.keyframe_deg:g} degrees"
+    return (
+        f"the robot never moved: by its {by} it stayed within {far} of where it began, in all {len(engine.frames)} "
+        f"frames, so there is no loop to close; give the run of a robot that drives{other}"
+    )
 
 
 def think_over(engine: Engine, again: Again) -> Moved:

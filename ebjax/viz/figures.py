@@ -15,7 +15,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-BEFORE, AFTER, TRUTH, LOOP, WRONG = "#c8553d", "#14746f", "#9aa0a6", "#e0a030", "#b00020"
+# Okabe and Ito's colours, which people tell apart who do not see red and green as different; lines differ in style too.
+BEFORE, AFTER, TRUTH, LOOP, WRONG = "#d55e00", "#0072b2", "#9aa0a6", "#cc79a7", "#000000"
+DASHED = (0, (4, 2))
 THIN = 4.0
 
 
@@ -56,13 +58,14 @@ def trajectory(
         without = {name: path for name, path in paths.items() if name != before_name}
         _draw_paths(axes[1], without, loops, before_name, after_name)
         axes[1].set(xlabel="along, m", ylabel="across (stretched), m")
-    axes[0].legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, frameon=False, fontsize=9)
+    legend_above(axes[0])
     if truth is not None:
-        for name, colour in ((before_name, BEFORE), (after_name, AFTER)):
+        for name, colour, style in ((before_name, BEFORE, DASHED), (after_name, AFTER, "-")):
             error = np.linalg.norm(paths[name] - paths["truth"], axis=1)
-            axes[-1].plot(error, color=colour, lw=1.4, label=f"{name}: rmse {np.sqrt(np.nanmean(error**2)):.3f} m")
+            label = f"{name}: rmse {np.sqrt(np.nanmean(error**2)):.3f} m"
+            axes[-1].plot(error, color=colour, lw=1.4, ls=style, label=label)
         axes[-1].set(xlabel="frame", ylabel="error, m", xlim=(0, max(1, len(before) - 1)), ylim=(0, None))
-        axes[-1].legend(frameon=False, fontsize=9)
+        legend_above(axes[-1])
     return painted(figure)
 
 
@@ -101,7 +104,7 @@ def candidates(
     axes.set_aspect("equal")
     figure.colorbar(shown, ax=axes, label="score", shrink=0.8)
     if kept.any():
-        axes.legend(loc="upper left", fontsize=9)
+        legend_above(axes)
     return painted(figure)
 
 
@@ -144,7 +147,7 @@ def matches(
     chosen = chosen[np.linspace(0, len(chosen) - 1, min(len(chosen), max_lines)).astype(int)] if len(chosen) else chosen
     outliers = np.flatnonzero(~inliers)[:max_lines]
     for points in (points_a, points_b + shift):
-        axes.plot(*points[outliers].T, ".", color=WRONG, ms=3, alpha=0.6)
+        axes.plot(*points[outliers].T, "x", color=WRONG, ms=3, mew=0.6, alpha=0.7)
     for i in chosen:
         ends = np.stack([points_a[i], points_b[i] + shift])
         axes.plot(*ends.T, "-", color=_rainbow(i, len(inliers)), lw=0.7, marker=".", ms=3.5)
@@ -175,9 +178,10 @@ def floor_map(
     axes.set_facecolor("#eceff1")
     axes.imshow(image, extent=extent, interpolation="antialiased")
     if path is not None:
-        axes.plot(*path.T, color=AFTER, lw=1.0, alpha=0.8)
-        for pair in np.zeros((0, 2), int) if closures is None else closures:
-            axes.plot(*path[pair].T, color=LOOP, lw=0.8)
+        axes.plot(*path.T, color=AFTER, lw=1.2, label="path")
+        for k, pair in enumerate(np.zeros((0, 2), int) if closures is None else closures):
+            axes.plot(*path[pair].T, color=LOOP, lw=0.8, marker="o", ms=2.5, label=None if k else "loop closures")
+        legend_above(axes)
     axes.set(xlabel="x, m", ylabel="y, m", xlim=extent[:2], ylim=extent[2:])
     axes.set_aspect("equal")
     return painted(figure)
@@ -193,7 +197,7 @@ def _draw_paths(
     if "truth" in paths:
         axes.plot(*paths["truth"].T, color=TRUTH, lw=4.0, alpha=0.6, label="truth", solid_capstyle="round")
     if before_name in paths:
-        axes.plot(*paths[before_name].T, color=BEFORE, lw=1.2, ls=(0, (4, 2)), label=before_name)
+        axes.plot(*paths[before_name].T, color=BEFORE, lw=1.2, ls=DASHED, label=before_name)
     axes.plot(*paths[after_name].T, color=AFTER, lw=1.4, label=after_name)
     for k, pair in enumerate(closures):
         ends = paths[after_name][pair]
@@ -226,6 +230,11 @@ def _rainbow(i: Shaped[np.ndarray, ""] | np.integer, count: int) -> tuple[float,
     return colormaps["turbo"](0.1 + 0.8 * ((int(i) * 0.618) % 1.0 if count > 1 else 0.5))
 
 
+def legend_above(axes: "Axes") -> None:
+    """Says what the lines are, off the data."""
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, frameon=False, fontsize=9)
+
+
 def new_figure(width_in: float, height_in: float) -> "Figure":
     """An empty one, without a window."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -253,9 +262,9 @@ def pose_graph(graph: PoseGraph, optimised: Float[np.ndarray, "N P"]) -> bytes:
         ends = np.stack([xy[i[loops]], xy[j[loops]], np.full((len(loops), 2), np.nan)], 1).reshape(-1, 2)
         axes.plot(*ends.T, color=LOOP, lw=0.6, label=f"{len(loops)} loops")
         axes.plot(*xy.T, color=BEFORE if name == "before" else AFTER, lw=0.9, label=f"{len(xy)} poses")
-        axes.set(title=name, xlabel="x, m", ylabel="y, m")
+        axes.set(xlabel=f"x {name}, m", ylabel="y, m")
         axes.set_aspect("equal", "datalim")
-        axes.legend(frameon=False, fontsize=9)
+        legend_above(axes)
     return painted(figure)
 
 
@@ -287,5 +296,5 @@ def through_turn(
     axes.axvline(0, color=TRUTH, lw=0.6, zorder=0)
     axes.set(xlabel="x read through the turn, minus x, px", ylabel="y, px", xlim=(-6, 6), ylim=(-6, 6))
     axes.set_aspect("equal")
-    axes.legend(frameon=False, fontsize=9, loc="upper left")
+    legend_above(axes)
     return painted(figure)

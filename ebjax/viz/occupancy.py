@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
 
@@ -22,6 +23,9 @@ SAMPLES_A_CELL = 1.5
 """Along and across the rays: every cell that a view shows is met."""
 GRAZING = 4
 """Samples. What begins to hide the floor so much behind where it did on the next ray is seen along its side."""
+
+SPECK_M2 = 0.05
+"""A smaller piece of floor by itself is none: no view shows so little."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +85,20 @@ def occupancy(
     clear_votes, standing_votes = votes.reshape(2, height, width)
     cells = np.where(clear_votes > standing_votes, FREE, OCCUPIED)
     return np.where(clear_votes + standing_votes > 0, cells, UNKNOWN).astype(np.int8)
+
+
+def floor_only(floor: FloorMap, cells: Int8[np.ndarray, "H W"]) -> FloorMap:
+    """The picture of a floor map cut down to its free cells, without the walls that views show beyond, and specks."""
+    _, pieces, of_piece, _ = cv2.connectedComponentsWithStats((cells == FREE).astype(np.uint8))
+    large = of_piece[:, cv2.CC_STAT_AREA] * floor.metres_per_px**2 >= SPECK_M2
+    free = (cells == FREE) & large[pieces]
+    if not free.any():
+        return floor
+    (top, bottom), (left, right) = (np.flatnonzero(free.any(axis))[[0, -1]] for axis in (1, 0))
+    image = np.where(free[..., None], floor.image, 0)[top : bottom + 1, left : right + 1]
+    x_min, y_max, scale = floor.extent[0], floor.extent[3], floor.metres_per_px
+    x, y = x_min + scale * np.array([left, right + 1]), y_max - scale * np.array([bottom + 1, top])
+    return FloorMap(image, (float(x[0]), float(x[1]), float(y[0]), float(y[1])), scale)
 
 
 def rays_of(

@@ -4,10 +4,11 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from ebjax.evaluation.run import closure_errors, closure_summary, drift, reason_counts, trajectory_errors
 from ebjax.io.sequence import Sequence
-from ebjax.places.recall import facing_pairs, precision_100, recall_at_1
+from ebjax.places.recall import judged_claims, precision_100
 from ebjax.slam.run import Run
 from ebjax.slam.why import why_nothing
 from ebjax.slam.world import planar
@@ -19,8 +20,7 @@ PAPER_RADIUS = 1 / 15
 def run_metrics(sequence: Sequence, broken: Mapping[str, str], result: Run) -> dict[str, Any]:
     """What metrics.json says, times apart."""
     candidates, kept = result.candidates, result.kept
-    before = result.path.everywhere(result.path.poses)
-    wheels = before if sequence.odom_from_base is None else planar(sequence.odom_from_base)
+    before, wheels = result.path.everywhere(result.path.poses), path_before(sequence, result)
     travelled = float(np.linalg.norm(np.diff(wheels[:, :2], axis=0), axis=1).sum())
     joined = result.earlier.closures
     metrics: dict[str, Any] = {
@@ -28,6 +28,7 @@ def run_metrics(sequence: Sequence, broken: Mapping[str, str], result: Run) -> d
         "frames": len(sequence),
         "keyframes": len(result.keyframes),
         "travelled_m": round(travelled, 3),
+        "depth": sequence.has_depth,
         "broken_frames": dict(broken),
         "frames_without_odometry": dict(sequence.dropped),
         "candidates": len(candidates.i),
@@ -35,7 +36,9 @@ def run_metrics(sequence: Sequence, broken: Mapping[str, str], result: Run) -> d
         "closures_opposing": int((kept & candidates.opposing).sum()),
         "closures_by_depth": int((kept & result.by_depth).sum()),
         "reasons": reason_counts(result.reasons),
+        "corrected_by_m": round(float(np.linalg.norm((wheels - result.poses)[:, :2], axis=1).max()), 4),
         "nothing_kept": None if kept.any() or joined else why_nothing(result.reasons, len(candidates.i)),
+        "best_refused": None if kept.any() or joined else best_refused(sequence, result),
         "map": None
         if not result.earlier.count
         else {"keyframes": result.earlier.count, "closures": joined, "in_map": result.earlier.in_map},
@@ -63,18 +66,54 @@ def run_metrics(sequence: Sequence, broken: Mapping[str, str], result: Run) -> d
     errors = closure_errors(truth[candidates.i], truth[candidates.j], candidates.i_from_j)
     metrics |= closure_summary(errors, kept)
     first, opposing, distance = result.firsts.j, result.firsts.opposing, result.firsts.distance
-    valid = first >= 0
+    seen = truth[result.keyframes], result.view.centre_m
     for name, radius in (("1m", 1.0), ("0.3m", 0.3), ("paper", travelled * PAPER_RADIUS)):
-        pairs = facing_pairs(truth[result.keyframes], result.view.centre_m, radius)
-        share, queries = recall_at_1(first, opposing, pairs)
+        right, asked = judged_claims(*seen, radius, first, opposing)
         key = "paper_recall" if name == "paper" else f"recall_at_1_{name}"
-        metrics[key] = share
-        metrics[f"{key}_queries"] = queries
+        metrics[key] = float(right[asked].mean()) if asked.any() else None
+        metrics[f"{key}_queries"] = int(asked.sum())
         metrics[f"{key}_radius_m"] = round(radius, 3)
         if name == "1m":
-            right = pairs[np.arange(len(first)), np.maximum(first, 0)] & opposing
+            valid = first >= 0
             metrics["p100_1m"] = precision_100(-distance[valid].astype(np.float64), right[valid])
     return metrics
+
+
+def path_before(sequence: Sequence, result: Run) -> Float[np.ndarray, "F 3"]:
+    """The odometry; without, the path that the floor's steps make."""
+    if sequence.odom_from_base is None:
+        return result.path.everywhere(result.path.poses)
+    return planar(sequence.odom_from_base)
+
+
+def best_row(result: Run) -> int | None:
+    """The candidate with most agreeing matches; None where there is none."""
+    return int(np.argmax(result.candidates.inliers)) if len(result.candidates.i) else None
+
+
+def best_refused(sequence: Sequence, result: Run) -> str | None:
+    """What the best candidate lacked, where none was kept."""
+    k = best_row(result)
+    if k is None:
+        return None
+    found = result.candidates
+    pair = f"{sequence.names[found.i[k]]} and {sequence.names[found.j[k]]}"
+    return f"the best candidate, {pair}: {found.inliers[k]} of {found.total[k]} matches agree; {result.reasons[k]}"
+
+
+def brief_lines(metrics: Mapping[str, Any]) -> list[str]:
+    """What happened, in two lines."""
+    found = (
+        f"{metrics['frames']} frames: {metrics['closures_kept']} loop closures kept of {metrics['candidates']} "
+        f"candidates checked, {metrics['closures_opposing']} from opposing views"
+    )
+    if truth := metrics.get("closures_against_truth"):
+        found += f"; {truth['within_5cm_1deg']} of {truth['checked']} are within 5 cm and 1 degree of the truth"
+    if error := metrics.get("ate_rmse_m"):
+        moved = f"the path was {error['before']:.4f} m off the truth, and is {error['after']:.4f} m off now (ATE rmse)"
+    else:
+        moved = metrics["nothing_kept"] or f"the path was corrected by up to {metrics['corrected_by_m']:.2f} m"
+    return [found, f"{moved}; {metrics['seconds']['total']:.1f} s in all"]
 
 
 def summary_lines(metrics: Mapping[str, Any]) -> list[str]:
@@ -101,6 +140,7 @@ def summary_lines(metrics: Mapping[str, Any]) -> list[str]:
         lines.append(f"map: {there['closures']} closures to its {there['keyframes']} keyframes; the run is {where}")
     if metrics["nothing_kept"]:
         lines.append(metrics["nothing_kept"])
+        lines += [metrics["best_refused"]] if metrics["best_refused"] else []
     if truth := metrics.get("closures_against_truth"):
         lines.append(
             f"closures within 5 cm and 1 degree of the truth: {truth['within_5cm_1deg']} of {truth['checked']}; "

@@ -12,7 +12,8 @@ from jaxtyping import Float
 from ebjax.command import dump_config, progress
 from ebjax.config import load_config
 from ebjax.floors.sensor import GAMMA
-from ebjax.floors.sequence import CorridorConfig, Recording, record
+from ebjax.floors.sequence import CorridorConfig, record
+from ebjax.geometry.camera import Camera
 from ebjax.io.calibration.read import read_calibration
 from ebjax.io.camera_file import CameraFile
 from ebjax.io.images import read_image
@@ -105,7 +106,7 @@ def render_sequence(
         recording.timestamps,
         recording.odom_from_base,
         recording.world_from_base,
-        camera_file(recording),
+        camera_file(recording.camera),
         recording.frame,
         threads=min(8, os.cpu_count() or 1),
         resume=resume,
@@ -126,9 +127,8 @@ def _check_begun(config: CorridorConfig, partial: Path) -> None:
         print(f"{partial}: goes on after {frames} frames")
 
 
-def camera_file(recording: Recording) -> CameraFile:
+def camera_file(camera: Camera) -> CameraFile:
     """What camera.json says: the camera that rendered, without the digits that float32 adds."""
-    camera = recording.camera
     return CameraFile(
         intrinsics=np.asarray(camera.intrinsics, np.float64).round(6),
         base_from_camera=np.asarray(camera.base_from_camera, np.float64).round(7),

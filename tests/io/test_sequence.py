@@ -156,7 +156,7 @@ def test_a_run_without_odometry_keeps_every_frame(folder):
     np.testing.assert_array_equal(run.timestamps, given.timestamps)
     np.testing.assert_allclose(run.world_from_base[3:, 0, 3], run.timestamps[3:], atol=1e-9)
     with pytest.raises(
-        ValueError, match=r": a calibration needs odometry, and there is no odometry\.txt: .* give rows `timestamp tx"
+        ValueError, match=r": a calibration needs odometry, and there is no odometry\.txt: .* give rows of poses of"
     ):
         require_odometry(run, "a calibration")
     moved = run.at_offset(0.1)
@@ -285,7 +285,7 @@ def test_depth_of_another_clock_names_both_ranges(folder):
 
 @pytest.mark.parametrize(
     "name, words",
-    [("rgb.txt", "rgb.txt: no such file; a sequence needs"), ("camera.json", "there is no camera.json: ")],
+    [("rgb.txt", "it lacks rgb.txt, a line for every image"), ("camera.json", "there is no camera.json: ")],
 )
 def test_missing_files_are_named(folder, name, words):
     (folder / name).unlink()

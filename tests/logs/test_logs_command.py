@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from ebjax.command import run
-from ebjax.logs.__main__ import BenchConfig, Config, main, show_bench
+from ebjax.logs.__main__ import Config, main
 
 
 def listed(capsys, log, *flags):
@@ -166,12 +166,3 @@ def test_loads_no_jax(folder):
     )
     code += "run(main, Config, needs_jax=False)\nassert 'jax' not in sys.modules"
     subprocess.run([sys.executable, "-c", code, str(folder)], check=True, stdout=subprocess.DEVNULL)
-
-
-def test_the_bench_prints_its_figures(capsys, bags):
-    run(show_bench, BenchConfig, ["--size-gb", "0.05", "--frames", "3", "--kind", "mcap"], needs_jax=False)
-    out = capsys.readouterr().out
-    assert [line.split()[0] for line in out.splitlines()] == ["bag", "list", "frame", "memory"]
-    with pytest.raises(SystemExit) as stop:
-        run(show_bench, BenchConfig, ["--size-gb", "0"], needs_jax=False)
-    assert stop.value.code == 2

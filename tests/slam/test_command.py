@@ -1,5 +1,6 @@
 import csv
 import json
+import re
 import shutil
 
 import cv2
@@ -68,6 +69,11 @@ def test_closes_the_loop_of_the_way_back(rendered, done):
     assert len(graph.i) == len(ids) - 1 + further + metrics["closures_kept"]
     page = (out / "report.html").read_text()
     assert "http" not in page.split("<body>")[1]
+    assert "candidates checked" in page and "verified" not in page and "is turned by pi" in page
+    linked = set(re.findall(r'href="(.*?)"', page))
+    assert {"trajectory.tum", "loop_closures.csv", "config.yaml", "floor_map.png"} <= linked
+    assert all((out / name).is_file() for name in linked)
+    assert f"--map {out.parent / 'building.ebmap'}" in page
     assert cv2.imread(str(out / "floor_map.png")) is not None
     assert parse(Config, ["--config", str(out / "config.yaml")]).sequence == rendered
 
@@ -164,6 +170,29 @@ def test_a_run_that_cannot_be_read_is_refused(sequence, tmp_path, capsys):
     line = refused(capsys, sequence, tmp_path / "run")
     assert "rgb.txt" in line
     assert names[0] in line
+
+
+@pytest.mark.parametrize(("flags", "by"), [((), "odometry"), (("--motion", "floor"), "floor")])
+def test_a_robot_that_never_moves_has_nothing_to_close(sequence, tmp_path, capsys, flags, by):
+    for name in ("rgb", "depth"):
+        rows = [line.split() for line in (sequence / f"{name}.txt").read_text().splitlines()][:6]
+        (sequence / f"{name}.txt").write_text("".join(f"{stamp} {rows[0][1]}\n" for stamp, _ in rows))
+    for name in ("odometry", "groundtruth"):
+        rows = np.loadtxt(sequence / f"{name}.txt")
+        rows[:, 1:] = rows[0, 1:]
+        np.savetxt(sequence / f"{name}.txt", rows, fmt="%.9f")
+    line = refused(capsys, sequence, tmp_path / "run", *flags)
+    assert f"the robot never moved: by its {by} it stayed within 0.15 m" in line and "in all 6 frames" in line
+    assert "could be read" not in line
+
+
+def test_the_demo_says_in_three_lines_what_happened(rendered, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("ebjax.slam.__main__.demo", lambda folder, beside: rendered)
+    run(main, Config, ["--out", str(tmp_path)])
+    found, path, look = capsys.readouterr().out.splitlines()
+    assert re.match(r"\d+ frames: \d+ loop closures kept of \d+ candidates checked, \d+ from opposing views; ", found)
+    assert re.match(r"the path was 0\.\d+ m off the truth, and is 0\.\d+ m off now \(ATE rmse\); [\d.]+ s in all", path)
+    assert look == f"look at {tmp_path / 'report.html'}" and (tmp_path / "report.html").is_file()
 
 
 def test_depth_without_a_number_is_refused(sequence, tmp_path, capsys):

@@ -49,7 +49,7 @@ def test_what_a_log_lacks_is_asked_for_in_one_line(tmp_path, capsys):
         "distortion_coefficients: {rows: 1, cols: 5, data: [0, 0, 0, 0, 0]}\n"
     )
     for flags, words in (
-        ((), "walk: give --camera FILE"),
+        ((), "walk: two things are missing: (1) the camera: give --camera FILE"),
         (("--camera", str(camera)), "camera.yaml: nothing says how the camera is mounted; measure and give --mount.h"),
         (("--camera", str(camera), "--mount.height-m", "-1", "--mount.pitch-deg", "20"), "mount.height_m is -1"),
     ):

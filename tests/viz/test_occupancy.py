@@ -4,7 +4,7 @@ import pytest
 from ebjax.geometry.camera import FloorView, camera_over_floor
 from ebjax.slam.map import FloorMap
 from ebjax.views.floor_view import OBSTACLE_M
-from ebjax.viz.occupancy import FREE, OCCUPIED, UNKNOWN, occupancy
+from ebjax.viz.occupancy import FREE, OCCUPIED, UNKNOWN, floor_only, occupancy
 
 VIEW = FloorView(0.6, 2.4, -0.9, 0.9, 0.01)
 SEEN = np.ones(VIEW.size, bool)
@@ -114,3 +114,19 @@ def test_without_depth_what_a_view_shows_is_free(pose):
 def test_each_pose_has_a_mask():
     with pytest.raises(ValueError, match="zip"):
         occupancy(iter([SEEN]), SEEN, VIEW.floor_from_view, camera_at(0.54, 0.33), POSES, grid(0.05))
+
+
+def test_the_picture_of_the_floor_shows_free_cells_only_without_specks():
+    floor = grid(0.05)
+    floor.image[:] = 200
+    cells = np.full(floor.image.shape[:2], UNKNOWN, np.int8)
+    cells[20:60, 30:70] = FREE
+    cells[40, 50] = OCCUPIED
+    cells[5:8, 5:8] = FREE  # 0.02 m^2 behind a wall
+    shown = floor_only(floor, cells)
+    assert shown.image.shape == (40, 40, 4)
+    np.testing.assert_array_equal(shown.image[..., 3] > 0, cells[20:60, 30:70] == FREE)
+    np.testing.assert_allclose(shown.extent, (-1 + 30 * 0.05, -1 + 70 * 0.05, 2.5 - 60 * 0.05, 2.5 - 20 * 0.05))
+    assert shown.metres_per_px == floor.metres_per_px
+    cells[:] = UNKNOWN
+    assert floor_only(floor, cells) is floor

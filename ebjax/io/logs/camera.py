@@ -12,6 +12,7 @@ from ebjax.io.calibration.mount_file import read_mount
 from ebjax.io.calibration.read import read_calibration
 from ebjax.io.camera_file import CameraFile
 from ebjax.io.images import BrokenFrame, same_shape
+from ebjax.io.logs.lacking import refusal
 from ebjax.io.logs.log import Log
 from ebjax.io.logs.mount_options import MOUNT, NOTHING, MountOptions
 
@@ -27,9 +28,7 @@ def camera_of(log: Log, file: Path | None = None, mount: MountOptions = NOTHING)
     """
     camera = calibration_of(log, file, mount)
     if camera is None:
-        raise ValueError(
-            f"{log.path}: {log.missing.get('camera', 'it says nothing of the camera: give --camera FILE')}"
-        )
+        raise ValueError(refusal(log, mount))
     return mounted(camera), camera.notes
 
 

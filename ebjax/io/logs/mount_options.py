@@ -9,8 +9,8 @@ from jaxtyping import Float
 from ebjax.geometry.mount_numbers import mount_of, pose_of
 
 MOUNT = (
-    "measure and give --mount.height-m (of the lens above the floor) and --mount.pitch-deg (how far it looks down), "
-    "and --mount.x-m (of the lens ahead of base_link) where it is not 0"
+    "measure and give --mount.height-m 0.4 (of the lens above the floor, m) and --mount.pitch-deg 30 (how far it looks "
+    "down), and --mount.x-m (of the lens ahead of base_link, m) where it is not 0"
 )
 
 

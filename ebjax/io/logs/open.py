@@ -9,6 +9,7 @@ from typing import Literal
 from ebjax.io.image_folder import SUFFIXES
 from ebjax.io.image_kinds import SUFFIXES as UNREAD
 from ebjax.io.logs.image_layouts import layout_reader
+from ebjax.io.logs.lacking import READ, folder_refusal
 from ebjax.io.logs.log import Log
 from ebjax.io.logs.log_clock import log_in_seconds
 from ebjax.io.logs.photographs import open_images
@@ -22,10 +23,6 @@ from ebjax.parts import find
 MAP = APPLICATION_ID.to_bytes(4, "big")
 """The application id in the header of an SQLite file."""
 SQLITE, ROSBAG, MCAP, ZSTD = b"SQLite format 3\x00", b"#ROSBAG", b"\x89MCAP0\r\n", b"\x28\xb5\x2f\xfd"
-READ = (
-    "a TUM folder (rgb.txt, camera.json), a .bag, .db3, .mcap or their folder, an RTAB-Map .db, a video, or a folder "
-    "of images"
-)
 BAG_SUFFIXES = (".db3", ".mcap", ".zstd")
 
 
@@ -154,7 +151,7 @@ def _folder_kind(path: Path) -> Literal["tum", "bag", "images"]:
         return "bag"
     pictures = (*SUFFIXES, *(f".{suffix}" for suffix in UNREAD))
     if not any(name.lower().endswith(pictures) for name in names):
-        raise ValueError(f"{path}: nothing in this folder is read; give {READ}")
+        raise ValueError(folder_refusal(path))
     return "images"
 
 

@@ -7,12 +7,13 @@ from pathlib import Path
 from ebjax.io.image_folder import list_images, unread_images
 from ebjax.io.logs.image_survey import Survey, file_images, survey
 from ebjax.io.logs.log import Log
+from ebjax.io.logs.mount_options import MOUNT
 from ebjax.io.logs.photograph_times import times_in_names, times_of_photographs
 from ebjax.io.logs.video_times import check_rate, clock, rate_in_words
 
 MISSING = {
     "camera": "give --camera FILE, any calibration of this camera at this size of images",
-    "mount": "give --mount.height-m and --mount.pitch-deg",
+    "mount": MOUNT,
     "odometry": "none in a folder of images: the run is measured by the floor, --motion floor",
     "depth": "none in a folder of images",
 }

@@ -16,6 +16,7 @@ from ebjax.io.logs.image_layouts import Layout, layout_reader, located, there
 from ebjax.io.logs.image_list import read_image_list
 from ebjax.io.logs.image_survey import LOOKED_AT, file_images, spread, survey
 from ebjax.io.logs.kitti_calibration import read_kitti_calibration
+from ebjax.io.logs.lacking import OPTIONAL, folder_refusal
 from ebjax.io.logs.log import Images, Log
 from ebjax.io.logs.mount_options import MOUNT
 from ebjax.io.trajectory import Trajectory, read_tum
@@ -23,9 +24,8 @@ from ebjax.io.trajectory import Trajectory, read_tum
 MISSING = {
     "camera": "there is no camera.json: write one, or give --camera FILE, any calibration of this camera",
     "mount": MOUNT,
-    "odometry": "there is no odometry.txt: the run is measured by the floor alone, or give rows `timestamp tx ty tz qx "
-    "qy qz qw`, the pose of base_link in the odometry's frame",
-    "depth": "there is no depth.txt: the floor is metric without depth",
+    "odometry": "there is no odometry.txt: the run is measured by the floor alone, or give " + OPTIONAL["odometry.txt"],
+    "depth": f"there is no depth.txt: the floor is metric without depth, or give {OPTIONAL['depth.txt']}",
 }
 
 
@@ -45,7 +45,7 @@ def open_tum_folder(path: str | Path, *, depth: bool = True, depth_scale: float 
     if not folder.is_dir():
         raise ValueError(f"{folder}: no such folder; a sequence is a folder with rgb.txt and camera.json")
     if (read_layout := layout_reader(folder)) is None:
-        raise ValueError(f"{folder / 'rgb.txt'}: no such file; a sequence needs rgb.txt and camera.json")
+        raise ValueError(folder_refusal(folder))
     layout = read_layout()
     notes = list(layout.notes)
     colour = _colour(layout)

@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from ebjax.io.images import BrokenFrame
 from ebjax.io.logs.log import Images, Log
+from ebjax.io.logs.mount_options import MOUNT
 from ebjax.io.logs.video_frames import VideoFrames
 from ebjax.io.logs.video_opencv import OpenCvVideo
 from ebjax.io.logs.video_refusal import refuse_what_is_no_video
@@ -20,7 +21,7 @@ NEED_AV = ("AV01", "av01")
 EXTRA = 'pip install "ebjax[av]"'
 MISSING = {
     "camera": "give --camera FILE, any calibration of this camera at this video mode",
-    "mount": "give --mount.height-m and --mount.pitch-deg",
+    "mount": MOUNT,
     "odometry": "none in a video: the run is measured by the floor, --motion floor",
     "depth": "none in a video",
 }
