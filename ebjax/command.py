@@ -169,7 +169,7 @@ def setup_jax() -> None:
 _UNREADABLE = re.compile("Error reading persistent compilation cache entry for '([^']+)'")
 
 
-def _mend_or_show(show, message, *where, **more):
+def _mend_or_show(show: Callable[..., None], message: Warning | str, *where: Any, **more: Any) -> None:
     """Shows a warning, unless it says that a program cannot be read from the cache and that could be removed.
 
     JAX writes an entry in place, so that a process killed meanwhile leaves a part of it, and JAX never writes over an
@@ -228,9 +228,8 @@ def _config_path(argv: Sequence[str]) -> str | None:
 
 
 def _program(main: Callable[[Any], None]) -> str:
-    module = main.__module__
     spec = getattr(sys.modules.get("__main__"), "__spec__", None)
-    name = spec.name if module == "__main__" and spec is not None else module
+    name = spec.name if spec is not None and spec.name.startswith("ebjax.") else main.__module__
     return f"python -m {name.removesuffix('.__main__')}"
 
 

@@ -216,7 +216,8 @@ def _found_again(one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> fl
 
 
 def _units(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-9)
+    units: np.ndarray = vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-9)
+    return units
 
 
 def _line(fault: BaseException) -> str:

@@ -2,6 +2,7 @@
 
 import contextlib
 import fcntl
+import functools
 import importlib.util
 import io
 import os
@@ -67,6 +68,12 @@ def program():
         return subprocess.CompletedProcess(argv, code, out.getvalue(), err.getvalue())
 
     return ended
+
+
+@pytest.fixture(scope="session")
+def quickly():
+    """jax.jit for a program that takes longer to compile than to run: it is not optimised."""
+    return functools.partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 
 
 @pytest.fixture

@@ -36,7 +36,7 @@ MAY_IMPORT = {
     # Descriptors, extractors, kernels and readers by name; loads no JAX. Every room may use it.
     "parts.py": set(),
     # Rendered runs as folders.
-    "worlds": {"floors", "io", "config", "command"},
+    "worlds": {"floors", "geometry", "io", "config", "command"},
     # The paper's experiments: every room put to work, as only commands do otherwise. No room imports it.
     "paper": {*ORDER, *EDGE},
     # Measures the rest; no room imports it.
@@ -132,12 +132,12 @@ def test_reader_of_imports_sees_every_form():
         def read_text(encoding):
             return (
                 "import ebjax.io.text\nfrom ebjax import viz\nfrom ..slam import map\nfrom . import netvlad\n"
-                "from ebjax.floors import __main__\nfrom ebjax.views.__main__ import main\n"
+                "from ebjax.floors import __main__\nfrom ebjax.slam.__main__ import main\n"
                 "def f():\n    from ebjax.features.matching import x\n"
                 "if TYPE_CHECKING:\n    from ebjax.posegraph.graph import PoseGraph\n"
             )
 
-    assert rooms(imported(Source)) == {"io", "viz", "slam", "places", "floors", "views", "features", "posegraph"}
+    assert rooms(imported(Source)) == {"io", "viz", "slam", "places", "floors", "features", "posegraph"}
     reached = files(imported(Source))
     assert reached >= {"ebjax.io.text", "ebjax.places.netvlad", "ebjax.features.matching", "ebjax.posegraph.graph"}
-    assert {name for name in reached if name.endswith("__main__")} == {"ebjax.floors.__main__", "ebjax.views.__main__"}
+    assert {name for name in reached if name.endswith("__main__")} == {"ebjax.floors.__main__", "ebjax.slam.__main__"}

@@ -1,9 +1,12 @@
 """Descriptor matching in JAX: mutual nearest neighbours and Lowe's ratio, fixed shapes."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from ebjax.geometry.homography import Scalar
 from ebjax.geometry.pytree import pytree
 
 
@@ -26,7 +29,8 @@ class Matches:
     valid: Bool[Array, "*n M"]
 
 
-def mutual_nearest(query: Features, reference: Features, *, max_ratio: float = 1.0, keep: int = 200) -> Matches:
+@partial(jax.jit, static_argnames="keep")
+def mutual_nearest(query: Features, reference: Features, *, max_ratio: Scalar = 1.0, keep: int = 200) -> Matches:
     """Pairs that are each other's nearest neighbours, with distance / second distance at most `max_ratio`.
 
     Args:

@@ -10,6 +10,9 @@ with sigma^2 the weighted mean squared residual per axis. Matches of one view sh
 which no number of inliers averages away: Sigma_0 is that floor.
 """
 
+from functools import partial
+
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
@@ -53,6 +56,7 @@ def _covariance(
     return (variance + 1e-8) * spread + shared, jnp.sqrt(jnp.maximum(2 * variance, 1e-24))
 
 
+@jax.jit
 def measure_floor(
     points_i: Float[Array, "M 2"], points_j: Float[Array, "M 2"], inliers: Bool[Array, "M"] | Float[Array, "M"]
 ) -> LoopMeasurement:
@@ -73,6 +77,7 @@ def measure_floor(
     return LoopMeasurement(jnp.concatenate([translation, theta[None]]), covariance, rms)
 
 
+@jax.jit
 def measure_depth(
     points_i: Float[Array, "M 3"], points_j: Float[Array, "M 3"], inliers: Bool[Array, "M"], range_m: Float[Array, "M"]
 ) -> LoopMeasurement:
@@ -94,6 +99,7 @@ def measure_depth(
     return LoopMeasurement(jnp.concatenate([translation[:2], theta[None]]), covariance, rms)
 
 
+@partial(jax.jit, static_argnames="radius")
 def lift(
     pixels: Float[Array, "K 2"], depth_m: Float[Array, "H W"], camera: Camera, radius: int = 3
 ) -> tuple[Float[Array, "K 3"], Float[Array, "K"]]:

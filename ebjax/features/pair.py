@@ -7,6 +7,7 @@ jitted.
 
 import dataclasses
 import math
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -119,10 +120,8 @@ def look(image: UInt8[np.ndarray, "H W 3"], view: PlaneView) -> tuple[Float[Arra
 
     Every view pixel averages as many samples along each axis as image pixels it covers: near floor would alias.
     """
-    rgb = jnp.asarray(image, jnp.float32) / 255
-    height, width = view.size
     if np.array_equal(view.image_from_view, np.eye(3)):
-        return rgb, jnp.ones((height, width), bool)
+        return jnp.asarray(image.astype(np.float32) / np.float32(255)), jnp.asarray(np.ones(view.size, bool))
     camera = view.camera or Camera(np.eye(3), np.eye(4), image.shape[1], image.shape[0])
     seen = field_of_view(camera, view.image_from_view, view.size, 1.0)
     down, across = _image_pixels_per_view_pixel(view, np.asarray(seen))
@@ -130,10 +129,23 @@ def look(image: UInt8[np.ndarray, "H W 3"], view: PlaneView) -> tuple[Float[Arra
     view_from_fine = np.array(
         [[scale_shift[0][0], 0, scale_shift[0][1]], [0, scale_shift[1][0], scale_shift[1][1]], [0, 0, 1]]
     )
-    homography = jnp.asarray(view.image_from_view @ view_from_fine)
-    points = grid_points(homography, (height * down, width * across))
-    fine = gather(rgb, taps(raw_from_ideal(camera, points.reshape(-1, 2)).reshape(points.shape), camera.size))
-    return fine.reshape(height, down, width, across, 3).mean((1, 3)).astype(jnp.float32), seen
+    return _averaged(image, camera, view.image_from_view @ view_from_fine, view.size, (down, across)), seen
+
+
+@partial(jax.jit, static_argnames=("size", "samples"))
+def _averaged(
+    image: UInt8[Array, "H W 3"],
+    camera: Camera,
+    image_from_fine: Float[Array, "3 3"],
+    size: tuple[int, int],
+    samples: tuple[int, int],
+) -> Float[Array, "h w 3"]:
+    """A view of some size, of whose pixels each is the mean of some samples down and across."""
+    (height, width), (down, across) = size, samples
+    points = grid_points(image_from_fine, (height * down, width * across))
+    raw = raw_from_ideal(camera, points.reshape(-1, 2)).reshape(points.shape)
+    fine = gather(image.astype(jnp.float32) / 255, taps(raw, camera.size))
+    return fine.reshape(height, down, width, across, 3).mean((1, 3)).astype(jnp.float32)
 
 
 def _image_pixels_per_view_pixel(view: PlaneView, seen: Bool[np.ndarray, "h w"]) -> tuple[int, int]:
@@ -179,8 +191,15 @@ def extract(
     extractor: Extractor, image: UInt8[np.ndarray, "H W 3"], view: PlaneView, *, turned: bool = False
 ) -> Features:
     """The features of the view, or of the view turned by pi; keypoints in pixels of the view as it is."""
-    run = extractor.turned if turned else extractor.extract
-    return (jax.jit(run) if extractor.jitted else run)(*look(image, view))
+    run = _extracted if extractor.jitted else _extract
+    return run(extractor, turned, *look(image, view))
+
+
+def _extract(extractor: Extractor, turned: bool, view: Float[Array, "h w 3"], seen: Bool[Array, "h w"]) -> Features:
+    return (extractor.turned if turned else extractor.extract)(view, seen)
+
+
+_extracted = jax.jit(_extract, static_argnums=(0, 1))
 
 
 def compare(
@@ -202,8 +221,8 @@ def compare(
       tolerance: largest residual of an inlier, as a share of the view's side.
       seed: of RANSAC.
     """
-    keypoints = [f.keypoints.astype(jnp.result_type(0.0)) for f in (a, b)]
-    plane = [apply(view.plane_from_view, k) for k in keypoints]
+    located = [_located(f.keypoints, view.plane_from_view, view.image_from_view) for f in (a, b)]
+    plane, pixels = zip(*located, strict=True)
     limit = tolerance * view.side
     found = verify(
         a,
@@ -213,25 +232,33 @@ def compare(
         key=jax.random.key(seed),
         tolerance=limit,
         model=model,
-        keep=min(KEEP, len(keypoints[0])),
+        keep=min(KEEP, len(plane[0])),
     )
+    found = jax.tree.map(np.asarray, found)
     inliers, total = int(found.count), int(found.total)
     agreeing, possible = (_distinct(found, rows, plane, limit) for rows in (found.inliers, found.matched))
     rare = log10_false_alarms(agreeing, possible, math.pi * tolerance**2, model) < MAX_LOG10_FALSE_ALARMS
     # Both cameras look at the same side of the floor: no mirror image.
-    believed = rare and float(jnp.linalg.det(found.query_from_reference)) > 0
+    believed = rare and float(np.linalg.det(found.query_from_reference)) > 0
     if believed:
         found = refine(a, b, plane[0], plane[1], found.query_from_reference, tolerance=limit, model=model)
-    pixels = [apply(view.image_from_view, k) for k in keypoints]
-    motion = np.asarray(found.query_from_reference)
-    return Comparison(inliers, total, believed, found, (pixels[0], pixels[1]), (plane[0], plane[1]), motion)
+        found = jax.tree.map(np.asarray, found)
+    return Comparison(inliers, total, believed, found, pixels, plane, found.query_from_reference)
 
 
-def _distinct(found: Verified, rows: Bool[Array, " M"], plane: list[Array], tolerance: float) -> int:
+@jax.jit
+def _located(
+    keypoints: Float[Array, "K 2"], plane_from_view: Float[Array, "3 3"], image_from_view: Float[Array, "3 3"]
+) -> tuple[Float[Array, "K 2"], Float[Array, "K 2"]]:
+    """Keypoints of a view in its plane, and in ideal pixels of the image."""
+    keypoints = keypoints.astype(jnp.result_type(0.0))
+    return apply(plane_from_view, keypoints), apply(image_from_view, keypoints)
+
+
+def _distinct(found: Verified, rows: Bool[np.ndarray, " M"], plane: tuple[Array, Array], tolerance: float) -> int:
     """How many places the matches join: keypoints that nearly coincide agree on anything."""
-    chosen = np.asarray(rows)
     counts = []
     for points, index in zip(plane, (found.query, found.reference), strict=True):
-        cells = np.floor(np.asarray(points)[np.asarray(index)[chosen]] / (2 * tolerance))
+        cells = np.floor(np.asarray(points)[index[rows]] / (2 * tolerance))
         counts.append(len(np.unique(cells, axis=0)))
     return min(counts)

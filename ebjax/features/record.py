@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from ebjax.features.measure import LoopMeasurement, lift, measure_depth, measure_floor
@@ -60,18 +59,18 @@ def measure(comparison: Comparison, camera: Camera, depths: tuple[np.ndarray, np
     if not comparison.believed:
         return {}
     matched = comparison.matched
-    q, r, inliers = matched.query, matched.reference, matched.inliers
+    q, r, inliers = matched.query, matched.reference, np.asarray(matched.inliers)
     record = {"a_from_b": motion(measure_floor(comparison.plane[0][q], comparison.plane[1][r], inliers))}
     if depths is None:
         return record
     lifted = [
-        lift(p, jnp.asarray(d, p.dtype), camera)
+        lift(p, d.astype(p.dtype), camera)
         for p, d in zip((comparison.pixels[0][q], comparison.pixels[1][r]), depths, strict=True)
     ]
-    (points_a, range_a), (points_b, range_b) = lifted
+    (points_a, range_a), (points_b, range_b) = (map(np.asarray, one) for one in lifted)
     deep = inliers & (range_a > 0) & (range_b > 0)
     count = int(deep.sum())
-    found = motion(measure_depth(points_a, points_b, deep, jnp.maximum(range_a, range_b)))
+    found = motion(measure_depth(points_a, points_b, deep, np.maximum(range_a, range_b)))
     return record | {"a_from_b_depth": found if count >= MIN_DEPTHS else None, "inliers_with_depth": count}
 
 

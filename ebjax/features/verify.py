@@ -6,11 +6,14 @@ sets; vmap or `lax.map` it.
 """
 
 import math
+from functools import partial
 
+import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, UInt32
 
 from ebjax.features.matching import Features, mutual_nearest
+from ebjax.geometry.homography import Scalar
 from ebjax.geometry.pytree import pytree
 from ebjax.geometry.ransac import Model, estimate
 
@@ -61,6 +64,7 @@ def log10_false_alarms(inliers: int, total: int, chance: float, model: Model) ->
     return (log + (inliers - size) * math.log(chance)) / math.log(10)
 
 
+@partial(jax.jit, static_argnames=("model", "keep"))
 def verify(
     query: Features,
     reference: Features,
@@ -68,10 +72,10 @@ def verify(
     reference_points: Float[Array, "K 2"],
     *,
     key: PRNGKeyArray | UInt32[Array, "2"],
-    tolerance: float,
+    tolerance: Scalar,
     model: Model = "rigid",
     keep: int = 200,
-    max_ratio: float = 1.0,
+    max_ratio: Scalar = 1.0,
 ) -> Verified:
     """Matches two views and finds the motion that most matches agree on.
 

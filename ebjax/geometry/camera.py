@@ -56,7 +56,7 @@ class FloorView:
     y_max: float | int = dataclasses.field(metadata=dict(static=True))
     metres_per_px: float | int = dataclasses.field(metadata=dict(static=True))
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if not (self.x_min < self.x_max and self.y_min < self.y_max and self.metres_per_px > 0):
             raise ValueError(f"{self}: needs x_min < x_max, y_min < y_max and metres_per_px > 0")
 
@@ -262,7 +262,7 @@ def image_from_floor(camera: Camera) -> Float[Array, "3 3"]:
 def image_from_view(camera: Camera, view: FloorView) -> Float[Array, "3 3"]:
     """View pixels -> image pixels, with w = depth in metres; what `warp` needs to make the floor view."""
     image = image_from_floor(camera)
-    return image @ jnp.asarray(view.floor_from_view, image.dtype)
+    return jnp.matmul(image, jnp.asarray(view.floor_from_view, image.dtype))
 
 
 @partial(jax.jit, static_argnames="view_size")
@@ -281,11 +281,11 @@ def field_of_view(
     rows, cols = jnp.meshgrid(*(jnp.arange(n, dtype=h.dtype) for n in view_size), indexing="ij")
     grid = jnp.stack([cols.reshape(-1), rows.reshape(-1)], axis=1)
     shown = in_image(camera, apply_homography(h, grid), margin_px)
-    return (shown & (denominator(h, grid) > 0)).reshape(view_size)
+    return jnp.logical_and(shown, denominator(h, grid) > 0).reshape(view_size)
 
 
 def in_image(camera: Camera, pixels: Float[Array, "N 2"], margin_px: Scalar = 0.0) -> Bool[Array, " N"]:
     """Which ideal pixels lie inside the image, by a margin from its outermost pixel centres."""
     x, y = raw_from_ideal(camera, pixels).T
     inside = (x >= margin_px) & (x <= camera.width - 1 - margin_px)
-    return inside & (y >= margin_px) & (y <= camera.height - 1 - margin_px)
+    return jnp.logical_and(inside, (y >= margin_px) & (y <= camera.height - 1 - margin_px))

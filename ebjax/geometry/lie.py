@@ -36,7 +36,7 @@ def _group(module, identity):
     return Group(size=len(identity), dim=len(bracket), identity=identity, bracket=bracket, **functions)
 
 
-GROUPS = {
+GROUPS: dict[str, Group] = {
     "se2": _group(se2, (0.0, 0.0, 0.0)),
     "se3": _group(se3, (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)),
 }

@@ -9,7 +9,6 @@ import dataclasses
 import itertools
 from collections.abc import Callable
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -103,7 +102,7 @@ def search(
     grid = np.array(list(itertools.product(*axes)))
     rows = np.unique(np.linspace(0, len(pairs.motion) - 1, SEARCH_PAIRS).round().astype(int))
     some = pairs.some(rows)
-    shares = np.asarray(count_agreeing(grid, some, SEARCH_LIMIT) / jnp.maximum(some.valid.sum(), 1))
+    shares = np.asarray(count_agreeing(grid, some, SEARCH_LIMIT)) / max(some.valid.sum(), 1)
     if shares.max() < MIN_SHARE:
         raise ValueError(
             f"{shares.max():.0%} of the matches of floor views agree with odometry, at least {MIN_SHARE:.0%} must: "
@@ -126,7 +125,7 @@ def agreeing(pairs: FloorPairs, numbers: Float[np.ndarray, " N"], width: float) 
             f"{enough.sum()} of {len(valid)} pairs of floor views have {MIN_MATCHES} matches that agree, at least "
             f"{MIN_PAIRS} must: record more of the floor, in better light"
         )
-    return dataclasses.replace(pairs, valid=jnp.asarray(valid * enough[:, None], pairs.pixels.dtype))
+    return dataclasses.replace(pairs, valid=(valid * enough[:, None]).astype(pairs.pixels.dtype))
 
 
 def deviations(
@@ -140,7 +139,9 @@ def deviations(
     width = WIDTHS[-1][-1]
     without = []
     for stretch in np.array_split(np.flatnonzero(np.asarray(pairs.valid).any(1)), FOLDS):
-        others = dataclasses.replace(pairs, valid=jnp.asarray(pairs.valid).at[stretch].set(0))
+        valid = np.array(pairs.valid)
+        valid[stretch] = 0
+        others = dataclasses.replace(pairs, valid=valid)
         without.append(np.asarray(solve(start, sigma, found.numbers, others, width).numbers))
     jackknife = np.sqrt((FOLDS - 1) * np.var(without, axis=0))
     return np.maximum(jackknife, curvature_sigma(sigma, found.numbers, pairs, width))

@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ebjax.geometry.camera import OUTSIDE_PX, Camera, ideal_from_raw, raw_from_ideal, raw_slopes
@@ -16,6 +15,7 @@ from ebjax.geometry.homography import Arrays
 from ebjax.geometry.homography import apply as apply_homography
 from ebjax.geometry.homography import slopes as homography_slopes
 from ebjax.geometry.mount import Mount, base_from_mounted_camera
+from ebjax.geometry.warp import grid_points
 from ebjax.train.calibrate_camera import MOUNT, Numbers, with_numbers
 from ebjax.views.run_view import RunView, choose_floor, from_camera
 
@@ -31,8 +31,9 @@ class Rays(NamedTuple):
     there: Bool[Array, "*n"]
 
 
+@jax.jit
 def raw_keypoints(
-    view: RunView, camera: Camera, keypoints: Float[Array, "N 2"], sigma_px: float
+    view: RunView, camera: Camera, keypoints: Float[Arrays, "N 2"], sigma_px: float | Float[Array, ""]
 ) -> tuple[Float[Array, "N 2"], Float[Array, "N 2 2"]]:
     """Raw pixels of keypoints of a floor view, and how they change with one standard deviation along its axes."""
     h = jnp.asarray(view.image_from_view)
@@ -41,7 +42,8 @@ def raw_keypoints(
     return raw_from_ideal(camera, ideal), sigma_px * slopes
 
 
-def rays_of_pixels(camera: Camera, pixels: Float[Array, "*n 2"], slopes: Float[Array, "*n 2 2"]) -> Rays:
+@jax.jit
+def rays_of_pixels(camera: Camera, pixels: Float[Arrays, "*n 2"], slopes: Float[Arrays, "*n 2 2"]) -> Rays:
     """Rays of raw pixels, their errors' slopes with them."""
     shape = pixels.shape[:-1]
     flat = ideal_from_raw(camera, pixels.reshape(-1, 2))
@@ -80,10 +82,21 @@ def floor_distance_m(a: Numbers, b: Numbers, camera: Camera, metres_per_px: floa
       metres_per_px: of that view.
     """
     view = from_camera(camera, choose_floor(camera, metres_per_px))
-    rows, columns = np.nonzero(np.asarray(view.seen))
-    ideal = apply_homography(view.image_from_view, np.stack([columns, rows], 1).astype(np.float64))
+    return float(_distance_m(a, b, camera, view.image_from_view, view.seen))
+
+
+@jax.jit
+def _distance_m(
+    a: Numbers, b: Numbers, camera: Camera, image_from_view: Float[Arrays, "3 3"], seen: Bool[Arrays, "h w"]
+) -> Float[Array, ""]:
+    ideal = grid_points(jnp.asarray(image_from_view), seen.shape).reshape(-1, 2)
     pixels = raw_from_ideal(camera, ideal)
     none = jnp.zeros((*pixels.shape, 2), pixels.dtype)
-    found = [(numbers, rays_of_pixels(with_numbers(camera, numbers), pixels, none)) for numbers in (a, b)]
-    first, second = (on_floor(numbers[MOUNT], rays.rays, rays.spreads)[0] for numbers, rays in found)
-    return float(jnp.linalg.norm(first - second, axis=1)[found[0][1].there & found[1][1].there].mean())
+
+    def points(numbers):
+        rays = rays_of_pixels(with_numbers(camera, numbers), pixels, none)
+        return on_floor(numbers[MOUNT], rays.rays, rays.spreads)[0], rays.there
+
+    (first, there_a), (second, there_b) = points(a), points(b)
+    shown = jnp.asarray(seen).reshape(-1) & there_a & there_b
+    return jnp.where(shown, jnp.linalg.norm(first - second, axis=1), 0).sum() / shown.sum()

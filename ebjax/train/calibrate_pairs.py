@@ -9,11 +9,12 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
 from ebjax.features.matching import Features, mutual_nearest
 from ebjax.features.upright import extract
 from ebjax.geometry.camera import Camera
+from ebjax.geometry.homography import Arrays
 from ebjax.geometry.pytree import pytree
 from ebjax.odometry.wheels import WheelErrors
 from ebjax.train.calibrate_floor import raw_keypoints
@@ -45,11 +46,11 @@ class FloorPairs:
     """
 
     camera: Camera
-    pixels: Float[Array, "P 2 K 2"]
-    slopes: Float[Array, "P 2 K 2 2"]
-    valid: Float[Array, "P K"]
-    motion: Float[Array, "P 3"]
-    noise: Float[Array, "P 3 3"]
+    pixels: Float[Arrays, "P 2 K 2"]
+    slopes: Float[Arrays, "P 2 K 2 2"]
+    valid: Float[Arrays, "P K"]
+    motion: Float[Arrays, "P 3"]
+    noise: Float[Arrays, "P 3 3"]
 
     def some(self, rows: Int[np.ndarray, " R"]) -> "FloorPairs":
         """Only these pairs."""
@@ -183,20 +184,20 @@ def match_pairs(
     found = []
     for start in range(0, len(first), _PAIRS_A_CALL):
         some = np.arange(start, start + _PAIRS_A_CALL) % len(first)  # the last block is filled up: one shape
-        two = (jax.tree.map(lambda leaf, r=r[some]: jnp.asarray(leaf[r]), features) for r in rows)
+        two = (jax.tree.map(lambda leaf, r=r[some]: leaf[r], features) for r in rows)
         found.append(jax.tree.map(np.asarray, _match(*two)))
     matches = jax.tree.map(lambda *blocks: np.concatenate(blocks)[: len(first)], *found)
 
     ends = zip(rows, (matches.query, matches.reference), strict=True)
     keypoints = np.stack([features.keypoints[r[:, None], chosen] for r, chosen in ends], 1)
-    flat = jnp.asarray(keypoints.reshape(-1, 2), view.image_from_view.dtype)
-    pixels, slopes = raw_keypoints(view, camera, flat, KEYPOINT_PX)
+    flat = keypoints.reshape(-1, 2).astype(view.image_from_view.dtype)
+    pixels, slopes = map(np.asarray, raw_keypoints(view, camera, flat, KEYPOINT_PX))
     shape = keypoints.shape[:3]
     return FloorPairs(
         believed,
         pixels.reshape(*shape, 2),
         slopes.reshape(*shape, 2, 2),
-        jnp.asarray(matches.valid, pixels.dtype),
-        jnp.asarray(relative_motion(odom_from_base, first, second), pixels.dtype),
-        jnp.asarray(motion_noise(odom_from_base, first, second, odometry), pixels.dtype),
+        matches.valid.astype(pixels.dtype),
+        relative_motion(odom_from_base, first, second).astype(pixels.dtype),
+        motion_noise(odom_from_base, first, second, odometry).astype(pixels.dtype),
     )

@@ -81,7 +81,7 @@ _rays_once = jax.jit(_rays)
 
 def _rays_if_kept(numbers: Numbers, free: Int[np.ndarray, " V"], pairs: FloorPairs) -> Rays | None:
     """The rays of all pixels, once for all steps where only the mount moves."""
-    return _rays_once(jnp.asarray(numbers), pairs) if (free < MOUNT.stop).all() else None
+    return _rays_once(np.asarray(numbers), pairs) if (free < MOUNT.stop).all() else None
 
 
 def _residuals(floor, motion):
@@ -153,7 +153,7 @@ def solve(start: Numbers, sigma: Numbers, at: Numbers, pairs: FloorPairs, width:
     """
     free = np.flatnonzero(sigma)
     rays = _rays_if_kept(start, free, pairs)
-    return _solve(jnp.asarray(start), jnp.asarray(sigma)[free], jnp.asarray(at)[free], free, pairs, width, rays)
+    return _solve(np.asarray(start), np.asarray(sigma)[free], np.asarray(at)[free], free, pairs, width, rays)
 
 
 @jax.jit
@@ -185,7 +185,7 @@ def curvature_sigma(sigma: Numbers, at: Numbers, pairs: FloorPairs, width: float
     """
     free, found = np.flatnonzero(sigma), np.zeros(len(sigma))
     rays = _rays_if_kept(at, free, pairs)
-    found[free] = _curvature_sigma(jnp.asarray(at), jnp.asarray(sigma)[free], free, pairs, width, rays)
+    found[free] = _curvature_sigma(np.asarray(at), np.asarray(sigma)[free], free, pairs, width, rays)
     return found
 
 

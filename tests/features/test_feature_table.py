@@ -70,6 +70,7 @@ def test_bad_pairs_are_named(scene, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_alike_is_right_on_every_real_pair_on_the_turned_floor_only(data, tmp_path):
     kind, arrays, _ = convert_checkpoint(data("reference") / "alike-n.pth")
     save_weights(tmp_path / "alike.safetensors", kind, arrays)

@@ -1,4 +1,5 @@
 from dataclasses import replace
+from functools import cache, partial
 
 import jax
 import jax.numpy as jnp
@@ -9,6 +10,7 @@ from ebjax.geometry.lie import GROUPS
 from ebjax.posegraph import add_priors, make_graph
 
 
+@cache
 def ring(group="se2", n=60, loops=6, false_loops=0, noise=0.02, seed=0, dtype=jnp.float64):
     """A path that goes round twice, odometry and loops between the rounds, poses from odometry; and the truth."""
     rng, g = np.random.default_rng(seed), GROUPS[group]
@@ -16,20 +18,27 @@ def ring(group="se2", n=60, loops=6, false_loops=0, noise=0.02, seed=0, dtype=jn
     step[:, 0], step[:, -1] = 0.5, 4 * np.pi / n
     if group == "se3":
         step[:, 3:5] = 0.05 * rng.normal(size=(n - 1, 2))
-    truth = compose_all(g, jnp.asarray(g.identity), jax.jit(g.exp)(jnp.asarray(step)))
     first = rng.integers(0, n // 2, loops)
     second = first + rng.integers(n // 3, n // 2 - 1, loops)
     i, j = np.concatenate([np.arange(n - 1), first]), np.concatenate([np.arange(1, n), second])
     error = rng.normal(size=(len(i), g.dim)) * noise
     if false_loops:
         error[-false_loops:] += rng.normal(size=(false_loops, g.dim))
-    measured = jax.jit(lambda a, b, e: g.compose(g.compose(g.inverse(a), b), g.exp(e)))(truth[i], truth[j], error)
+    truth, measured, poses = driven(group, step, i, j, error)
     root = rng.normal(size=(len(i), g.dim, g.dim))
     information = 500 * np.eye(g.dim)[None] + 20 * (root @ root.swapaxes(1, 2))
-    poses = compose_all(g, truth[0], measured[: n - 1])
     arrays = (jnp.asarray(x, dtype) for x in (poses, measured, information))
     poses, measured, information = arrays
     return make_graph(poses, i, j, measured, information), truth.astype(dtype)
+
+
+@partial(jax.jit, static_argnames="group")
+def driven(group, step, i, j, error):
+    """The true path, what its edges measure, and the path by odometry."""
+    g = GROUPS[group]
+    truth = compose_all(g, jnp.asarray(g.identity), g.exp(step))
+    measured = g.compose(g.compose(g.inverse(truth[i]), truth[j]), g.exp(error))
+    return truth, measured, compose_all(g, truth[0], measured[: len(step)])
 
 
 def compose_all(g, start, steps):
@@ -150,6 +159,6 @@ def _only():
     return only
 
 
-@pytest.fixture(name="ring")
+@pytest.fixture(name="ring", scope="session")
 def _ring():
     return ring

@@ -80,6 +80,9 @@ def terms(numbers, pairs, width):
     return jnp.concatenate([r.reshape(-1), errors.reshape(-1)])
 
 
+slopes_of_terms = jax.jit(jax.jacfwd(terms))
+
+
 def optics_sigma(camera):
     """Beliefs of a camera whose optics are tuned too."""
     return np.concatenate([SIGMA[:6], [0.02 * K[0, 0], 6.4, 6.4], coefficient_sigmas(camera, 12.8)])
@@ -95,7 +98,7 @@ def test_jacobian_against_central_differences(wrong, width, slope, model):
     where = true + np.pad(0.3 * OFF, (0, len(true) - 9))
     where[COEFFICIENTS] *= 1.1
     sizes = np.where(np.arange(len(true)) < 6, 1, np.append(np.zeros(6), optics_sigma(camera)[6:]))
-    jacobian = np.asarray(jax.jit(jax.jacfwd(terms))(where, pairs, width)) * sizes[None]
+    jacobian = np.asarray(slopes_of_terms(where, pairs, width)) * sizes[None]
     ahead, behind = (np.stack([terms(where + d, pairs, width) for d in s * np.diag(sizes)], 1) for s in (1e-6, -1e-6))
     differences, at = (ahead - behind) / 2e-6, np.asarray(terms(where, pairs, width))
     np.testing.assert_allclose(at @ jacobian, at @ differences, atol=slope * np.abs(at @ differences).max())
