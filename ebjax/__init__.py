@@ -18,6 +18,7 @@ _FROM = {
     "open_log": "ebjax.front.log",
     "demo": "ebjax.front.demo",
     "Mapper": "ebjax.front.mapper",
+    "Localiser": "ebjax.front.localiser",
     "Run": "ebjax.front.run",
     "Frame": "ebjax.slam.frame",
     "Update": "ebjax.slam.frame",

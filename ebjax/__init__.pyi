@@ -4,6 +4,7 @@ from ebjax.features.extractor import Extractor as Extractor
 from ebjax.features.matching import Features as Features
 from ebjax.front.close import close_loops as close_loops
 from ebjax.front.demo import demo as demo
+from ebjax.front.localiser import Localiser as Localiser
 from ebjax.front.log import open_log as open_log
 from ebjax.front.mapper import Mapper as Mapper
 from ebjax.front.run import Run as Run

@@ -218,6 +218,27 @@ def test_a_map_keeps_a_run_that_was_stopped(world, by_hand, tmp_path):
         assert [one.finished for one in file.sessions()] == [True]
 
 
+def test_a_robot_is_localised_in_the_map_of_a_run(world, by_hand, tmp_path):
+    log, path = ebjax.open_log(world, **OPTIONS), tmp_path / "building.ebmap"
+    ebjax.close_loops(log, map=path, quiet=True)
+    before = path.read_bytes()
+    with ebjax.Localiser(log, map=path) as localiser:
+        where = [localiser.add(frame) for frame in log]
+    found = [one for one in where if one.state == "found"]
+    assert where[0].state == "lost" and len(found) > len(where) / 2
+    far_m = [np.hypot(*(one.map_from_base - by_hand.poses[one.frame])[:2]) for one in found]
+    assert max(far_m) < 0.05 and path.read_bytes() == before
+    x, y, heading = by_hand.poses[0]
+    with ebjax.Localiser(log.camera, map=path, start=(x, y, np.degrees(heading)), **OPTIONS) as localiser:
+        assert localiser.add(next(iter(log))).state == "found"
+    with pytest.raises(ValueError, match="was made with descriptor floornet, this run has hog"):
+        ebjax.Localiser(log, map=path, descriptor="hog")
+    with pytest.raises(ValueError, match="Localiser: depth says how a log is read"):
+        ebjax.Localiser(log.camera, map=path, depth="none")
+    with pytest.raises(ValueError, match=r"nowhere\.ebmap: there is no such map"):
+        ebjax.Localiser(log, map=tmp_path / "nowhere.ebmap")
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [

@@ -8,15 +8,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
-from ebjax.command import setup_jax
 from ebjax.front.close import remembering
 from ebjax.front.log import Log
-from ebjax.front.options import Options, options_from
 from ebjax.front.run import Driven, Run
+from ebjax.front.taken import taken
 from ebjax.geometry.camera import Camera
 from ebjax.geometry.planar import between, compose, inverse
 from ebjax.io.images import BrokenFrame
@@ -25,10 +22,8 @@ from ebjax.io.logs.log import Log as Recorded
 from ebjax.io.sequence import Sequence
 from ebjax.mapping.kept_run import read_as
 from ebjax.mapping.looked_by import camera_file
-from ebjax.mapping.open_run import RunOptions
-from ebjax.mapping.seen_floor import FloorOptions, run_view
+from ebjax.mapping.seen_floor import run_view
 from ebjax.mapping.store import MapStore, open_map
-from ebjax.posegraph.robust import kernel_of
 from ebjax.slam.drive import drive
 from ebjax.slam.engine import Engine
 from ebjax.slam.frame import Frame, Update
@@ -38,9 +33,6 @@ from ebjax.slam.pipeline import leaning
 from ebjax.slam.run import Run as Thought
 from ebjax.slam.store import Between
 from ebjax.slam.world import matrices
-
-FLOOR = ("view", "quad", "quad_margin", "metres_per_px")
-"""Options of the floor that a camera alone needs too."""
 
 
 class Mapper:
@@ -74,13 +66,7 @@ class Mapper:
           ValueError: an unknown option, or one of how a log is read; an unknown descriptor or extractor; the camera
             sees no floor.
         """
-        setup_jax()
-        log = camera if isinstance(camera, Log) else None
-        self.options = options_from({**(log.given if log else {}), **options}, Options, "Mapper")
-        _check_reading(self.options, log)
-        kernel_of(self.options.kernel)
-        given = camera if isinstance(camera, Camera) else camera.camera
-        self._camera = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), given)  # made before JAX was set: float32
+        self.options, self._camera, log = taken(camera, options, "Mapper")
         self._view = log.view if log else partial(run_view, self.options, None)
         self._recording = log.recording if log else None
         self._path = None if map is None else Path(map)
@@ -209,16 +195,6 @@ def first_frames(sequence: Sequence, count: int) -> Sequence:
     values = ((name, getattr(sequence, name)) for name in columns)
     cut: dict[str, Any] = {name: None if value is None else value[:count] for name, value in values}
     return dataclasses.replace(sequence, **cut)
-
-
-def _check_reading(options: Options, log: Log | None) -> None:
-    """Refuses what can only be said when a log is opened."""
-    base = log.options if log else Options()
-    base = dataclasses.replace(base, mount=dataclasses.replace(base.mount, refine=options.mount.refine))
-    kinds = (RunOptions, FloorOptions)
-    for name in (field.name for kind in kinds for field in dataclasses.fields(kind)):
-        if getattr(options, name) != getattr(base, name) and (log or name not in FLOOR):
-            raise ValueError(f"Mapper: {name} says how a log is read; give it to open_log, and its log to Mapper")
 
 
 def _forgotten(frame: int) -> None:

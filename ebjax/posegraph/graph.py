@@ -186,6 +186,9 @@ def check(graph: PoseGraph) -> None:
             f"{graph.group} graph: poses {graph.poses.shape}, measured {graph.measured.shape}, information "
             f"{graph.information.shape}; give (N, {size}), (E, {size}), (E, {dim}, {dim})"
         )
+    for name, length in (("j", e), ("robust", e), ("fixed", n)):
+        if (shape := np.shape(getattr(graph, name))) != (length,):
+            raise ValueError(f"{graph.group} graph of {n} poses and {e} edges: {name} is {shape}; give ({length},)")
     for name in ("poses", "measured", "information"):
         value = getattr(graph, name)
         if not isinstance(value, jax.core.Tracer):

@@ -30,15 +30,21 @@ def check_frame(
             "in the order of their times"
         )
     if frame.rgb is not None and frame.rgb.shape != (*size, 3):
-        raise ValueError(f"{name} is an image of shape {frame.rgb.shape}, the camera's are {(*size, 3)}")
+        raise ValueError(
+            f"{name} is an image of shape {frame.rgb.shape}, the camera's are {(*size, 3)}; give the image as "
+            "the camera gave it, or the camera of this size"
+        )
     if frame.rgb is not None and frame.rgb.dtype != np.uint8:
         raise ValueError(f"{name} is of {frame.rgb.dtype}; give uint8, RGB")
     if frame.depth_m is not None and frame.depth_m.shape != size:
-        raise ValueError(f"{name} has depth of shape {frame.depth_m.shape}, the camera's images are {size}")
+        raise ValueError(
+            f"{name} has depth of shape {frame.depth_m.shape}, the camera's images are {size}; bring the depth into "
+            "the camera's image, or leave it out"
+        )
     wheels = frame.odom_from_base
     if not np.isfinite([frame.stamp_s, *([] if wheels is None else wheels)]).all():
         raise ValueError(f"{name} has a time or odometry that is not finite")
     if before is None and wheels is None and motion not in (None, "floor"):
         raise ValueError(f"--motion {motion} needs odometry; run with --motion floor")
     if before is not None and (wheels is not None) != before[1]:
-        raise ValueError(f"{name}: some frames have odometry and some have none")
+        raise ValueError(f"{name}: some frames have odometry and some have none; give it to all of them, or to none")

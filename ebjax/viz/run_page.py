@@ -141,7 +141,7 @@ def _numbers(metrics: Mapping[str, Any]) -> dict[str, Any]:
     for key, radius in (("recall_at_1_1m", 1), ("recall_at_1_0.3m", 0.3)):
         if metrics.get(key) is not None:
             said = (
-                f"of frames that were passed within {radius:g} m the other way, the share whose first candidate is so"
+                f"of frames passed within {radius:g} m the other way, the share whose first candidate shows that floor"
             )
             rows.append([f"R@1 within {radius:g} m", f"{metrics[key]:.3f}", said])
     rows += [

@@ -1,3 +1,4 @@
+from copy import copy
 import functools
 from dataclasses import replace
 
@@ -68,6 +69,15 @@ def test_a_float64_graph_is_not_solved_in_single_precision(ring):
     graph, _ = ring()
     with jax.enable_x64(False), pytest.raises(ValueError, match=r"float64 and JAX in float32.*setup_jax"):
         solve(jax.tree.map(np.asarray, graph))
+
+
+def test_columns_of_other_lengths_are_refused(ring):
+    graph, _ = ring()
+    for name in ("j", "robust", "fixed"):
+        shorter = copy(graph)
+        object.__setattr__(shorter, name, np.asarray(getattr(graph, name))[:-1])  # past the tests' own type checks
+        with pytest.raises(ValueError, match=rf"{name} is \(\d+,\); give \(\d+,\)"):
+            solve(shorter)
 
 
 def test_float32_in_float32_out(ring):

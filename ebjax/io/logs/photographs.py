@@ -14,7 +14,7 @@ from ebjax.io.logs.video_times import check_rate, clock, rate_in_words
 MISSING = {
     "camera": "give --camera FILE, any calibration of this camera at this size of images",
     "mount": MOUNT,
-    "odometry": "none in a folder of images: the run is measured by the floor, --motion floor",
+    "odometry": "no odometry in a folder of images: the run is measured by the floor, --motion floor",
     "depth": "none in a folder of images",
 }
 

@@ -22,7 +22,7 @@ EXTRA = 'pip install "ebjax[av]"'
 MISSING = {
     "camera": "give --camera FILE, any calibration of this camera at this video mode",
     "mount": MOUNT,
-    "odometry": "none in a video: the run is measured by the floor, --motion floor",
+    "odometry": "no odometry in a video: the run is measured by the floor, --motion floor",
     "depth": "none in a video",
 }
 
