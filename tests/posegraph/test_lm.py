@@ -1,5 +1,5 @@
-from copy import copy
 import functools
+from copy import copy
 from dataclasses import replace
 
 import jax
