@@ -1,6 +1,7 @@
 """What a whole run gave."""
 
 import dataclasses
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
@@ -99,7 +100,7 @@ class Run:
         """The candidates that became loop closures."""
         return self.candidates.rows(self.kept)
 
-    @property
+    @cached_property
     def kept(self) -> Bool[np.ndarray, " K"]:
         """Which candidates became loop closures."""
         return np.array([reason == KEPT for reason in self.reasons], bool)

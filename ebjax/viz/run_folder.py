@@ -97,7 +97,7 @@ def trajectory_figure(sequence: Sequence, result: Run, closures: np.ndarray) -> 
 
 def write_closures(path: Path, sequence: Sequence, result: Run) -> None:
     """Every candidate that was checked: where, how alike, what was measured, and whether and why it counts."""
-    c, kept = result.candidates, result.kept
+    c = result.candidates
     with open(path, "w", newline="", encoding="utf-8") as file:
         rows = csv.writer(file, lineterminator="\n")
         rows.writerow(COLUMNS)
@@ -108,5 +108,5 @@ def write_closures(path: Path, sequence: Sequence, result: Run) -> None:
                 i, j, sequence.names[i], sequence.names[j], f"{sequence.timestamps[i]:.6f}",
                 f"{sequence.timestamps[j]:.6f}", "opposing" if c.opposing[k] else "same", f"{c.distance[k]:.6f}",
                 c.inliers[k], c.total[k], *numbers, "depth" if result.by_depth[k] else "floor",
-                int(kept[k]), result.reasons[k],
+                int(result.kept[k]), result.reasons[k],
             ])  # fmt: skip
