@@ -26,8 +26,8 @@ from ebjax.views.floor_view import view_taps
 from ebjax.views.run_view import RunView, remounted_view
 from ebjax.views.tilted import tilted
 
-LANDMARKS, PAIRS = 512, 1024
-"""Keyframes and pairs that are held unpacked: about 120 and 25 MB; others are read and verified again."""
+LANDMARKS, PAIRS = 256, 1024
+"""Keyframes and pairs that are held unpacked: about 60 and 25 MB; others are read and verified again."""
 TOGETHER = 8
 """Pairs that are verified at a time."""
 _taps = jax.jit(view_taps)
