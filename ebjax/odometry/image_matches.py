@@ -15,7 +15,7 @@ CONTRAST = 0.01
 LONGEST_SIDE = 1000
 """Larger images are halved until they fit: corners are found to a share of a pixel, and time grows with the area."""
 QUICK_SIDE = 500
-"""... where wheels say most of the motion: a fourth of the time, and corners half as exact."""
+"""... where wheels say most of the motion: a fourth of the pixels, and corners less exact."""
 CELLS = 12
 """Cells along the longer side of the image; each gives its strongest corner before any gives its second."""
 BORDER_PX = 6

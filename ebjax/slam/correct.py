@@ -18,7 +18,7 @@ from ebjax.posegraph.warm import compile_solve_for
 
 SHARE, LEAST = 64, 4
 STEPS, RTOL = 20, 1e-3
-"""Of a solve: where a step gains less than that share, no keyframe moves by a millimetre any more."""
+"""Of a solve: it ends where a step gains less than that share; at the end of a run the graph is solved to the end."""
 FIRST = 256
 """Rows of the smallest graph program."""
 
