@@ -11,7 +11,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int, Int8, UInt8
+from jaxtyping import Bool, Float, Int, Int8, UInt8
 
 from ebjax.features.verify_pairs import stacked
 from ebjax.geometry.planar import compose, inverse
@@ -25,7 +25,7 @@ from ebjax.posegraph.graph import PoseGraph
 from ebjax.slam.believe import Belief
 from ebjax.slam.compared import compile_comparing
 from ebjax.slam.config import PipelineConfig
-from ebjax.slam.correct import Corrector
+from ebjax.slam.correct import Begin, Corrector
 from ebjax.slam.frame import Closure, Frame, Update
 from ebjax.slam.graph import graph_so_far
 from ebjax.slam.join import joined
@@ -62,7 +62,6 @@ class Engine(Walker):
         self.belief = Belief(self.config.believe)
         self.corrector = Corrector(None if self.recording is None else self.start + len(self.recording))
         self.seconds: dict[str, float] = {}
-        self._in_map = self._begun_in_map = np.zeros(0, bool)
         for row in range(len(self.store)):
             self._take_up(row, self.store.arrays(row))
         if len(self.candidates):
@@ -93,10 +92,7 @@ class Engine(Walker):
             self._ahead.spare(partial(self._compile, kept))
         news = self._recognise(row, kept)
         self._keep(row, number)
-        begun = self._begun_in_map
-        corrected = self.corrector.take(row + 1, self._graph, self.chain.poses)
-        self._in_map = begun if corrected else self._in_map
-        return news, corrected
+        return news, self.corrector.take(row + 1, self._graph, self.chain.poses)
 
     def _compile(self, kept: Arrays) -> None:
         """Makes the programs of the first turn and the first closures, so that none of these has to wait for them."""
@@ -170,10 +166,15 @@ class Engine(Walker):
         rows = int(c.i[k]), int(c.j[k])
         return Closure(*ends, bool(c.opposing[k]), c.i_from_j[k].copy(), bool(self.belief.kept[k]), reason, rows)
 
-    def _graph(self, poses: Float[np.ndarray, "N 3"]) -> PoseGraph:
+    def _graph(self) -> Begin:
         kept = self.measured().rows(np.flatnonzero(self.belief.kept))
-        start, self._begun_in_map = joined(poses, self.keyframes.piece, kept)
-        return graph_so_far(self.chain.poses, self.chain.covariance, self.keyframes.piece, start, kept)
+        walked = self.chain.poses.copy(), self.chain.covariance.copy(), self.keyframes.piece.copy()
+
+        def made(poses: Float[np.ndarray, "N 3"]) -> tuple[PoseGraph, Bool[np.ndarray, " N"]]:
+            start, in_map = joined(poses, walked[-1], kept)
+            return graph_so_far(*walked, start, kept), in_map
+
+        return made
 
     def _update(self, frame: Frame, number: int, keyframe: bool, closures, path, begun: float) -> Update:
         rows = len(self.chain)
@@ -187,7 +188,7 @@ class Engine(Walker):
             frame.stamp_s,
             rows - 1 if keyframe else None,
             pose,
-            not self.start or bool(len(self._in_map) > self.start and self._in_map[self.start]),
+            not self.start or self.corrector.in_map(self.start),
             None if odom is None else compose(pose, inverse(np.asarray(odom, float))),
             covariance,
             closures,
