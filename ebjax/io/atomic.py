@@ -31,13 +31,10 @@ def whole_file(path: str | Path, mode: str = "w") -> Iterator[IO[Any]]:
     temporary = path.parent / f".{path.name}.{uuid.uuid4().hex[:8]}.partial"
     text: dict[str, str] = {} if "b" in mode else {"encoding": "utf-8", "newline": "\n"}
     try:
-        with open(temporary, mode.replace("w", "x"), **text) as file:  # type: ignore[call-overload]
-            yield file
-        os.replace(temporary, path)
-    except OSError as fault:
-        if fault.errno and fault.filename is None:  # a full disk does not say which file it was
-            raise OSError(fault.errno, fault.strerror, str(path)) from None
-        raise
+        with _told_of(path, temporary):
+            with open(temporary, mode.replace("w", "x"), **text) as file:  # type: ignore[call-overload]
+                yield file
+            os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -61,16 +58,17 @@ def whole_folder(path: str | Path) -> Iterator[Path]:
     path.parent.mkdir(parents=True, exist_ok=True)
     # Inside an existing folder, because its parent may be another file system or not ours to write to.
     temporary = (path if path.is_dir() else path.parent) / f".{path.name}.{uuid.uuid4().hex[:8]}.partial"
-    temporary.mkdir()
     try:
-        yield temporary
-        if not path.exists():
-            temporary.rename(path)
-            return
-        for source in sorted(p for p in temporary.rglob("*") if not p.is_dir()):
-            target = path / source.relative_to(temporary)
-            target.parent.mkdir(parents=True, exist_ok=True)
-            os.replace(source, target)
+        with _told_of(path, temporary):
+            temporary.mkdir()
+            yield temporary
+            if not path.exists():
+                temporary.rename(path)
+                return
+            for source in sorted(p for p in temporary.rglob("*") if not p.is_dir()):
+                target = path / source.relative_to(temporary)
+                target.parent.mkdir(parents=True, exist_ok=True)
+                os.replace(source, target)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
 
@@ -91,8 +89,23 @@ def resumed_folder(path: str | Path) -> Iterator[Path]:
     if path.exists() and not (path.is_dir() and not any(path.iterdir())):
         raise FileExistsError(17, "exists; name another folder", str(path))
     temporary = path.parent / f".{path.name}.partial"
-    temporary.mkdir(parents=True, exist_ok=True)
-    for left in temporary.rglob(".*.partial"):
-        left.unlink()
-    yield temporary
-    temporary.rename(path)
+    with _told_of(path, temporary):
+        temporary.mkdir(parents=True, exist_ok=True)
+        for left in temporary.rglob(".*.partial"):
+            left.unlink()
+        yield temporary
+        temporary.rename(path)
+
+
+@contextlib.contextmanager
+def _told_of(path: Path, temporary: Path) -> Iterator[None]:
+    """What fails with the temporary, or does not say with what, as a full disk, is said of the output."""
+    try:
+        yield
+    except OSError as fault:
+        name = Path(str(fault.filename))
+        if fault.errno and fault.filename is None:
+            raise OSError(fault.errno, fault.strerror, str(path)) from None
+        if fault.errno and name.is_relative_to(temporary):
+            raise OSError(fault.errno, fault.strerror, str(path / name.relative_to(temporary))) from None
+        raise

@@ -106,3 +106,15 @@ def test_a_folder_that_is_full_is_not_gone_on_with(tmp_path):
         with pytest.raises(OSError, match="name another folder"), resumed_folder(tmp_path / taken):
             pass
     assert contents(tmp_path) == {"empty/x": "1"}
+
+
+@pytest.mark.parametrize("whole", [whole_folder, resumed_folder, whole_file])
+def test_what_cannot_be_made_is_told_by_its_name(whole):
+    with pytest.raises(OSError, match=r"'/proc/nowhere'"), whole("/proc/nowhere"):
+        pass
+
+
+def test_a_file_in_an_unfinished_folder_is_told_as_it_would_be_called(tmp_path):
+    with pytest.raises(OSError, match=r"run/a/b'"), whole_folder(tmp_path / "run") as folder:
+        (folder / "a" / "b").read_text()
+    assert contents(tmp_path) == {}
