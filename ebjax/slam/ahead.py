@@ -13,6 +13,7 @@ class Ahead:
     def __init__(self):
         self._pool = ThreadPoolExecutor(1)
         self._begun: dict[tuple[str, int], tuple[Frame, Future]] = {}
+        self._spare: list[Future] = []
 
     def begin(self, what: str, number: int, frame: Frame, make: Callable[[int, Frame], Any]) -> None:
         """Makes something of a frame beside what else is done."""
@@ -20,8 +21,8 @@ class Ahead:
             self._begun[what, number] = frame, self._pool.submit(make, number, frame)
 
     def spare(self, work: Callable[[], Any]) -> None:
-        """Does what nobody waits for."""
-        self._pool.submit(work)
+        """Does what nobody waits for; what it raises, a later `forget` does."""
+        self._spare.append(self._pool.submit(work))
 
     def take(self, what: str, number: int, frame: Frame, make: Callable[[int, Frame], Any]) -> Any:
         """The same, waited for where it was begun with this frame, else made now."""
@@ -32,3 +33,5 @@ class Ahead:
         """Lets go of all frames up to that one."""
         for what, old in [key for key in self._begun if key[1] <= number]:
             self._begun.pop((what, old))[1].cancel()
+        while self._spare and self._spare[0].done():
+            self._spare.pop(0).result()
