@@ -21,6 +21,7 @@ from ebjax.odometry.partners import REACH, partners_of_last
 from ebjax.odometry.steps import Steps, joined, no_steps
 from ebjax.places.descriptor import descriptor
 from ebjax.places.place import placing
+from ebjax.slam import pauses
 from ebjax.slam.ahead import Ahead
 from ebjax.slam.check_frame import check_frame
 from ebjax.slam.config import PipelineConfig
@@ -200,6 +201,7 @@ class Walker:
         if row:
             step = np.linalg.norm(self.chain.poses[row, :2] - self.chain.poses[row - 1, :2])
             self.keyframes.travelled[row] = self.keyframes.travelled[row - 1] + step * (row > self.start)
+        pauses.keep_short(row + 1 - self.start)
         return row
 
     def _way(self, first: int) -> Float[np.ndarray, "N 3"]:

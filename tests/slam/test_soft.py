@@ -146,6 +146,7 @@ def slopes_and_differences(run, at, softness):
             yield names[k], exact, min(found, key=lambda number, exact=exact: abs(number - exact))
 
 
+@pytest.mark.slow
 def test_one_gradient_from_the_ate_to_everything():
     run = driven("plumb_bob")
     run = replace(run, camera=remounted(run.camera, WRONG))
@@ -159,6 +160,7 @@ def test_one_gradient_from_the_ate_to_everything():
         assert exact == pytest.approx(numeric, rel=CLOSE), name
 
 
+@pytest.mark.slow
 def test_the_gradient_by_a_fisheye():
     run = driven("equidistant")
     softness = Softness(FLOOR, patches, stride_m=0.08, points=100, rtol=1e-22, max_steps=300)
