@@ -1,6 +1,8 @@
 """Ratios that were measured before, in a file, and what they depend on: processor, libraries, Python.
 
-{"machine": {"processor": ..., "numpy": ..., ...}, "turns": 15, "ratios": {"solver": 0.34, ...}}
+[{"machine": {"processor": ..., "numpy": ..., ...}, "turns": 15, "ratios": {"solver": 0.34, ...}}, ...]
+
+There is one entry a processor: the same code on two processors of the same speed gives ratios that differ by a half.
 """
 
 import dataclasses
@@ -30,6 +32,11 @@ class Baseline:
     machine: dict[str, str]
     turns: int
     ratios: dict[str, float]
+
+    @property
+    def processor(self) -> str:
+        """Whose ratios they are."""
+        return self.machine.get("processor", "")
 
     def differences(self, here: dict[str, str]) -> list[str]:
         """What is not as it was, a line each."""
@@ -62,27 +69,39 @@ def processor() -> str:
 
 
 def write_baseline(path: Path, baseline: Baseline) -> None:
-    """Writes it.
+    """Writes it beside those of other processors.
 
     Raises:
+      ValueError: the file is there, and is not one of baselines.
       OSError: it cannot be written.
     """
+    others = [one for one in _read(path) if one.processor != baseline.processor] if path.is_file() else []
     with whole_file(path) as file:
-        file.write(json.dumps(dataclasses.asdict(baseline), indent=1) + "\n")
+        file.write(json.dumps([dataclasses.asdict(one) for one in [*others, baseline]], indent=1) + "\n")
 
 
-def read_baseline(path: Path) -> Baseline:
-    """Reads it.
+def read_baseline(path: Path, of: str) -> Baseline:
+    """Reads that of a processor.
 
     Raises:
-      ValueError: it is absent, or not what `write_baseline` writes.
+      ValueError: there is none, or the file is not what `write_baseline` writes.
     """
     if not path.is_file():
         raise ValueError(f"{path}: there is no baseline; {REMEDY}")
+    for one in _read(path):
+        if one.processor == of:
+            return one
+    raise ValueError(f"{path}: there is no baseline of this processor ({of}); {REMEDY}, which keeps the others")
+
+
+def _read(path: Path) -> list[Baseline]:
     try:
-        return _checked(json.loads(path.read_text(encoding="utf-8")))
+        values = json.loads(path.read_text(encoding="utf-8"))
+        if not isinstance(values, list):
+            raise ValueError("the file must be a list of baselines")
+        return [_checked(one) for one in values]
     except ValueError as fault:
-        raise ValueError(f"{path}: {fault}; {REMEDY}") from None
+        raise ValueError(f"{path}: {fault}; remove the file, and {REMEDY}") from None
 
 
 def _checked(values: Any) -> Baseline:

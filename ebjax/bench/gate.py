@@ -27,9 +27,9 @@ class GateConfig:
     gate: bool = False
     """Fail where the 95 % interval of a ratio lies wholly more than 15 % above the baseline."""
     write_baseline: bool = False
-    """Make what is measured the baseline. Do so on a quiet machine."""
+    """Make what is measured the baseline of this processor. Do so on a quiet machine."""
     baseline: Path = BASELINE
-    """File of ratios."""
+    """File of ratios, by processor."""
     turns: int = 21
     """How often each part and its reference run, 15 at least; the median counts."""
     slow_down: tuple[str, ...] = ()
@@ -55,7 +55,8 @@ def bench_parts(config: GateConfig) -> None:
     """Measures; prints a line a part; compares or writes the baseline."""
     names = _chosen(config)
     slow_downs = dict(_slow_down(text, names) for text in config.slow_down)
-    before, here = read_baseline(config.baseline) if config.gate else None, machine()
+    here = machine()
+    before = read_baseline(config.baseline, here["processor"]) if config.gate else None
     if before is not None:
         _comparable(config.baseline, before, names, here)
     print(f"{'part':10}{'ms':>9}{'beside':>9}{'ratio':>9}{'95 % interval':>19}{'before':>9}", flush=True)

@@ -81,18 +81,25 @@ def test_what_is_written_is_read_again(capsys, tmp_path):
     path = tmp_path / "new" / "baseline.json"
     main(["--write-baseline", "--baseline", str(path), "--turns", "17"])
     assert f"wrote {path}" in capsys.readouterr().out
-    found = read_baseline(path)
+    found = read_baseline(path, machine()["processor"])
     assert found.machine == machine() and found.turns == 17 and found.ratios.keys() == PARTS.keys()
     main(["--gate", "--baseline", str(path)])
 
 
-def test_another_machine_is_said(capsys, baseline):
-    here = machine()
-    write_baseline(baseline, Baseline({**here, "processor": "Z80", "numpy": "1.0"}, 15, RATIOS))
+def test_another_library_is_said(capsys, baseline):
+    write_baseline(baseline, Baseline({**machine(), "numpy": "1.0"}, 15, RATIOS))
     main(["warp", "--gate", "--baseline", str(baseline)])
-    notes = capsys.readouterr().err.splitlines()
-    assert len(notes) == 2 and all(note.startswith("note: ") for note in notes)
-    assert f"processor: the baseline's is Z80, this is {here['processor']}" in notes[0]
+    assert capsys.readouterr().err.startswith("note: numpy: the baseline's is 1.0, this is ")
+
+
+def test_another_processor_has_a_baseline_of_its_own(capsys, tmp_path, baseline):
+    z80, here = {**machine(), "processor": "Z80"}, machine()["processor"]
+    write_baseline(baseline, Baseline(z80, 15, {**RATIOS, "warp": 0.1}))
+    main(["warp", "--gate", "--baseline", str(baseline)])
+    assert capsys.readouterr().err == "" and read_baseline(baseline, "Z80").ratios["warp"] == 0.1
+    write_baseline(tmp_path / "other.json", Baseline(z80, 15, RATIOS))
+    err = refused(capsys, "warp", "--gate", "--baseline", tmp_path / "other.json").err
+    assert f"no baseline of this processor ({here})" in err and "--write-baseline, which keeps the others" in err
 
 
 def test_a_missing_reference_is_said(capsys, baseline, monkeypatch):
@@ -129,11 +136,12 @@ def test_bad_options_are_one_line(capsys, flags, said):
     [
         (None, "there is no baseline"),
         ("{", "Expecting property name"),
-        ("[]", "an object of machine, ratios, turns"),
-        (json.dumps({"machine": {}, "turns": 15, "ratios": {"warp": 0}}), "warp: the ratio must be a number above 0"),
-        (json.dumps({"machine": {}, "turns": 15, "ratios": [1]}), "ratios must be an object"),
-        (json.dumps({"machine": {"a": 1}, "turns": 15, "ratios": {}}), "machine must be an object of texts"),
-        (json.dumps({"machine": {}, "turns": 15, "ratios": {"solver": 1.0}}), "it has no warp"),
+        ("{}", "the file must be a list"),
+        ("[[]]", "an object of machine, ratios, turns"),
+        (json.dumps([{"machine": {}, "turns": 15, "ratios": {"warp": 0}}]), "warp: the ratio must be a number above 0"),
+        (json.dumps([{"machine": {}, "turns": 15, "ratios": [1]}]), "ratios must be an object"),
+        (json.dumps([{"machine": {"a": 1}, "turns": 15, "ratios": {}}]), "machine must be an object of texts"),
+        (json.dumps([{"machine": machine(), "turns": 15, "ratios": {"solver": 1.0}}]), "it has no warp"),
     ],
 )
 def test_a_bad_baseline_is_one_line(capsys, tmp_path, text, said):
@@ -144,8 +152,9 @@ def test_a_bad_baseline_is_one_line(capsys, tmp_path, text, said):
     assert f"error: {path}: " in err and said in err and "--write-baseline" in err and len(err.splitlines()) == 1
 
 
-def test_the_baseline_that_comes_along_has_every_part():
-    assert read_baseline(BASELINE).ratios.keys() == PARTS.keys()
+def test_the_baselines_that_come_along_have_every_part():
+    processors = [one["machine"]["processor"] for one in json.loads(BASELINE.read_text())]
+    assert all(read_baseline(BASELINE, one).ratios.keys() == PARTS.keys() for one in processors) and processors
 
 
 def test_a_turn_s_calls_are_averaged():
