@@ -59,6 +59,7 @@ def test_a_running_percentile_looks_back_only():
     assert running(values, 50)[0] == values[0]
 
 
+@pytest.mark.slow
 def test_a_run_is_driven_into_a_map(rendered, tmp_path, capsys):
     out = tmp_path / "bench"
     bench.main(["drive", str(rendered), "--out", str(out)])
@@ -73,6 +74,7 @@ def test_a_run_is_driven_into_a_map(rendered, tmp_path, capsys):
     assert "map.ebmap: holds an earlier drive" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_what_was_measured_until_it_is_stopped_is_told(rendered, tmp_path, capsys, monkeypatch):
     def stopped(recording, camera, view, config, *, keep, watch):
         engine = Mapper(camera, config, view=view, recording=recording, store=keep(camera, view(camera), None))

@@ -34,21 +34,23 @@ def image():
 
 
 def test_a_cell_looks_at_the_pixels_around_its_exact_centre():
-    positive, side, cell = restored(np.abs), 128, 15
+    (graph, positive), side, cell = nnx.split(restored(np.abs)), 128, 15
     random, seen = np.random.default_rng(0), np.zeros((side, side))
-    read = jax.jit(jax.grad(lambda x: positive(x)[0, cell, cell].sum()))
+    # The weights are an argument: as constants they would be folded while the program is compiled.
+    read = jax.jit(jax.grad(lambda x, weights: nnx.merge(graph, weights)(x)[0, cell, cell].sum()))
     for _ in range(6):  # of every four pixels a pool passes one on
-        seen += np.abs(np.asarray(read(jnp.asarray(1 + random.random((1, side, side, 3)), jnp.float32))[0])).sum(-1)
+        slope = read(jnp.asarray(1 + random.random((1, side, side, 3)), jnp.float32), positive)
+        seen += np.abs(np.asarray(slope[0])).sum(-1)
     first, last = np.flatnonzero(seen.sum(0))[[0, -1]]
     assert (first + last) / 2 == 4 * cell + 3.5 and last - first == 91
 
 
 def test_shapes_of_both_forms_and_the_last_relu(image):
     test, training = (restored(np.asarray, **o) for o in ({}, {"form": "training", "final_relu": False}))
-    x = image[None, :80, :]
-    assert test(x).shape == (1, 80 // 4 - 1, SIDE // 4 - 1, 512)
-    assert training(x).shape == (1, 80 // 8, SIDE // 8, 512)
-    assert (test(x) >= 0).all() and (training(x) < 0).any()
+    tested, trained = (np.asarray(network(image[None, :80, :])) for network in (test, training))
+    assert tested.shape == (1, 80 // 4 - 1, SIDE // 4 - 1, 512)
+    assert trained.shape == (1, 80 // 8, SIDE // 8, 512)
+    assert (tested >= 0).all() and (trained < 0).any()
 
 
 def test_detections_have_a_fixed_size_and_come_strongest_first(network, image):

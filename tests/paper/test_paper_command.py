@@ -40,6 +40,7 @@ def done(drawn, small_worlds, tmp_path_factory):
     return out
 
 
+@pytest.mark.slow
 def test_tables_and_pictures(done):
     tables = json.loads((done / "tables.json").read_text())
     cell = tables["table 1"]["floornet, correlation: floor + pi"]["W"]
@@ -64,6 +65,7 @@ def test_tables_and_pictures(done):
             assert cv2.imread(str(done / line.split("(")[-1].rstrip(")"))) is not None
 
 
+@pytest.mark.slow
 def test_a_second_run_measures_what_is_damaged_alone(done, small_worlds, tmp_path, capsys, monkeypatch):
     monkeypatch.delenv("EBJAX_DATA", raising=False)
     restrict(monkeypatch)
@@ -78,8 +80,8 @@ def test_a_second_run_measures_what_is_damaged_alone(done, small_worlds, tmp_pat
     assert json.loads((out / "tables.json").read_text()) == json.loads((done / "tables.json").read_text())
 
 
-def test_pairs_show_the_same_floor(done):
-    found = read_run(done / "worlds" / "W")
+def test_pairs_show_the_same_floor(small_run):
+    found = read_run(small_run)
     assert set(found.out).isdisjoint(found.back) and found.out.max() < found.back.min()
     made = cut_pairs(found, "W", 2)
     for pair in made:

@@ -133,6 +133,7 @@ def image_error_px(file):
     return float(np.linalg.norm(images[0] - images[1], axis=1).max())
 
 
+@pytest.mark.slow
 def test_recovers_a_lens_that_was_set_wrong(bent, tmp_path, capsys):
     config = Config(sequence=bent, depth="none", k1_off=0.4, lens="distortion", pairs=48)
     run(config, tmp_path / "out", resume=False)
@@ -147,6 +148,7 @@ def test_recovers_a_lens_that_was_set_wrong(bent, tmp_path, capsys):
     assert " -0.25000  -0.35000 " in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_finds_a_lens_of_which_nothing_was_said(bent, tmp_path):
     camera = tmp_path / "camera.yaml"
     camera.write_text(

@@ -35,6 +35,7 @@ def test_only_what_is_tuned_moves(part):
         np.testing.assert_allclose(leaf, -rates[name] if name in TUNED[part] else 0, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_the_task_tunes_tests_and_writes(tmp_path, capsys):
     config = Config(
         training=("terrazzo",),
