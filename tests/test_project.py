@@ -96,9 +96,10 @@ def test_every_import_is_a_declared_dependency():
 def test_the_readme_sets_up_and_tests_as_the_checks_do():
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     lines = [line.strip() for line in readme.splitlines() if line.strip().startswith("python3 -m venv .venv && ")]
-    assert len(lines) == 2, "one command that runs the main job, one that passes the tests"
-    run, test = ([part.strip() for part in line.split("&&")] for line in lines)
-    assert run[-1] == "python -m ebjax.slam --out runs/demo"
+    assert len(lines) == 2, "one line that sets up for the main job, one that passes the tests"
+    setup, test = ([part.strip() for part in line.split("&&")] for line in lines)
+    assert setup[-1] == "pip install -c configs/constraints.txt -e ."
+    assert f"{lines[0]}\n    python -m ebjax.slam --out runs/demo\n" in readme
     checks = (ROOT / ".ci" / "run").read_text(encoding="utf-8").replace("--quiet ", "").splitlines()
     assert test[-2] in checks
     assert any(line.startswith(test[-1].removesuffix(' -m "not slow"')) for line in checks), "and the slow ones too"

@@ -14,6 +14,7 @@ import tyro
 from ebjax.command import progress, run
 from ebjax.features.equivariance import middle, stand_in, through_turn
 from ebjax.features.extractor import EXTRACTORS, Extractor, extractor, usable
+from ebjax.features.fewer import strongest_only
 from ebjax.features.pair import Comparison, PlaneView, checked_quad, metric_view, quad_view, raw_view
 from ebjax.features.record import FLOOR, RAW, TURNED, conventions, describe, matched_points, measure, summary
 from ebjax.features.remember import remembered
@@ -49,9 +50,9 @@ class Config:
     mount: MountOptions = field(default_factory=MountOptions)
     quad: tuple[float, float, float, float, float, float, float, float] | None = None
     """Four points of the floor, x y px each: far left, far right, near right, near left."""
-    extractor: Literal["floornet", "rootsift", "sift", "orb", "surf", "superpoint", "d2net", "alike", "all"] = (
-        "floornet"
-    )
+    extractor: Literal[
+        "floornet", "rootsift", "sift", "orb", "surf", "superpoint", "d2net", "alike", "aliked", "xfeat", "all"
+    ] = "floornet"
     """Local feature; all compares those that can be used here and keeps what most matches agree on."""
     weights: Path | None = None
     """Of a network: its .safetensors file, or a folder of them; None: $EBJAX_WEIGHTS or ~/.cache/ebjax/weights."""
@@ -80,7 +81,9 @@ class TableConfig:
     """Compares the local features on pairs of known motion, as table 3 of the paper does; prints Markdown tables."""
 
     pairs: tyro.conf.Positional[Path]
-    """Folder of folders, one a pair: a.png, b.png and gt.json with "quad" (as --quad, four points) and "H_a_to_b"."""
+    """Folder of folders, one a pair: a.png, b.png and gt.json with "quad" (as --quad, four points) and "H_a_to_b". With
+    "rms_px" too, px of a 400 px view that the truth fits its points to, a motion is right within twice that, else 3 px.
+    """
     out: Path
     """Folder for table.md and table.json."""
     extractors: tuple[str, ...] = tuple(EXTRACTORS)
@@ -90,10 +93,12 @@ class TableConfig:
     """Folder of the networks' weights; None: $EBJAX_WEIGHTS or ~/.cache/ebjax/weights."""
     arithmetic: Arithmetic = "exact"
     """Of a network: float32 convolutions, the same by Winograd's algorithm (equal to rounding), or in part bfloat16."""
+    keypoints: int | None = None
+    """Hold every local feature to its so many strongest keypoints a view; None: each as many as it gives."""
     seed: int = 0
     """Of RANSAC."""
     cache: Path | None = None
-    """Folder where the features of every view stay for the next run; None: nowhere."""
+    """Folder where the features of every view stay for the next run (the times are then of reading); None: nowhere."""
 
 
 @dataclass(frozen=True)
@@ -230,17 +235,24 @@ def table(config: TableConfig) -> None:
     """Reads, compares, prints, writes."""
     if unknown := [name for name in config.extractors if name not in EXTRACTORS and not is_own(name)]:
         raise ValueError(f"extractor {unknown[0]!r} is unknown; choose of {', '.join(EXTRACTORS)}, or {OWN}")
-    pairs = [Pair(f.name, *read_both(f.a, f.b), f.quad, f.b_from_a) for f in read_pairs(config.pairs)]
+    if config.keypoints is not None and config.keypoints < 4:
+        raise ValueError(f"--keypoints is {config.keypoints}; give at least 4, or leave it out")
+    pairs = [Pair(f.name, *read_both(f.a, f.b), f.quad, f.b_from_a, f.truth_px) for f in read_pairs(config.pairs)]
     found, absent = usable(config.extractors, config.weights, config.arithmetic)
     if not found:
         raise ValueError(next(iter(absent.values())))
-    shown = progress(caching(config.cache, found, config.arithmetic).items(), len(found), "Comparing")
+    weights_mb = {name: one.weights.stat().st_size / 1e6 for name, one in found.items() if one.weights is not None}
+    found = caching(config.cache, found, config.arithmetic)
+    if config.keypoints is not None:
+        found = {name: strongest_only(one, config.keypoints) for name, one in found.items()}
+    shown = progress(found.items(), len(found), "Comparing")
     rows = {name: compare_pairs(chosen, pairs, seed=config.seed) for name, chosen in shown}
-    lines = [*markdown(rows), "", *(f"Left out: {reason}" for reason in absent.values())]
+    lines = [*markdown(rows, weights_mb), "", *(f"Left out: {reason}" for reason in absent.values())]
     print("\n".join(lines))
     with whole_folder(config.out) as folder:
         (folder / "table.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
-        (folder / "table.json").write_text(as_json(rows, left_out=absent, seed=config.seed), encoding="utf-8")
+        text = as_json(rows, left_out=absent, seed=config.seed, keypoints=config.keypoints)
+        (folder / "table.json").write_text(text, encoding="utf-8")
     print(f"wrote {config.out}")
 
 

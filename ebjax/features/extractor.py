@@ -6,7 +6,7 @@ says whether it keeps to what is promised here.
 
 import dataclasses
 import typing
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Protocol
 
@@ -26,6 +26,8 @@ EXTRACTORS = {
     "superpoint": "ebjax.features.networks:superpoint",
     "d2net": "ebjax.features.networks:d2net",
     "alike": "ebjax.features.networks:alike",
+    "aliked": "ebjax.features.networks:aliked",
+    "xfeat": "ebjax.features.networks:xfeat",
 }
 """Each is an `Extractor` or, for a network, what makes one of its weights file and its arithmetic."""
 
@@ -65,12 +67,15 @@ class Extractor:
       jitted: whether `extract` may be called inside a jitted program; else it is called from the host.
       turn: descriptors -> those of the same keypoints in the view turned by pi; None looks again.
       weights: the file they were read from.
+      octaves: (height, width) of a view -> how many equal parts its rows have; None: one. The rows of a part come
+        strongest first.
     """
 
     extract: Extract
     jitted: bool
     turn: Turn | None
     weights: Path | None = None
+    octaves: Callable[[int, int], int] | None = None
 
     def turned(self, view: Float[Array, "H W 3"], seen: Bool[Array, "H W"]) -> Features:
         """The features of the view turned by pi; keypoints in pixels of the view as it is."""

@@ -34,7 +34,7 @@ def floornet(weights: Path | None, arithmetic: Arithmetic) -> Extractor:
             view, seen = _half(view, seen)
         return jax.tree.map(lambda *rows: jnp.concatenate(rows), *found)
 
-    return Extractor(extract, jitted=False, turn=turn, weights=eye.path)
+    return Extractor(extract, jitted=False, turn=turn, weights=eye.path, octaves=octaves)
 
 
 @jax.jit

@@ -1,4 +1,4 @@
-"""D2-Net, SuperPoint and ALIKE as local features; each is a function of its weights file and its arithmetic.
+"""D2-Net, SuperPoint, ALIKE, ALIKED and XFeat as local features, each of its weights file and its arithmetic.
 
 Networks are not invariant to rotation: of a view that is turned by pi they have to look at the turned view.
 """
@@ -14,8 +14,10 @@ from flax import nnx
 from jaxtyping import Array, Bool, Float
 
 import ebjax.models.alike
+import ebjax.models.aliked
 import ebjax.models.d2net
 import ebjax.models.superpoint
+import ebjax.models.xfeat
 from ebjax.features.extractor import Extractor
 from ebjax.features.matching import Features
 from ebjax.features.upright import halved
@@ -32,6 +34,8 @@ MARGIN_PX = 8
 """Keypoints so close to what is not seen describe the border of the field of view."""
 ALIKE_THRESHOLD = 0.01
 """Floors are faint: the published 0.2 leaves a dozen keypoints on polished stone; the strongest COUNT are kept."""
+XFEAT_THRESHOLD = 0.005
+"""Likewise, below the published 0.05."""
 CONVENTIONS = {"superpoint": "superglue", "superpoint-v6": "v6"}
 
 
@@ -56,6 +60,18 @@ def alike(weights: Path | None, arithmetic: Arithmetic) -> Extractor:
     """ALIKE, whichever variant the file holds; 64 to 128 numbers a keypoint."""
     path, _, network = open_network("alike", weights, arithmetic)
     return _extractor(path, network, partial(ebjax.models.alike.detect, count=COUNT, threshold=ALIKE_THRESHOLD))
+
+
+def aliked(weights: Path | None, arithmetic: Arithmetic) -> Extractor:
+    """ALIKED, whichever variant the file holds; 64 to 128 numbers a keypoint."""
+    path, _, network = open_network("aliked", weights, arithmetic)
+    return _extractor(path, network, partial(ebjax.models.aliked.detect, count=COUNT, threshold=ALIKE_THRESHOLD))
+
+
+def xfeat(weights: Path | None, arithmetic: Arithmetic) -> Extractor:
+    """XFeat's sparse feature, 64 numbers a keypoint."""
+    path, _, network = open_network("xfeat", weights, arithmetic)
+    return _extractor(path, network, partial(ebjax.models.xfeat.detect, count=COUNT, threshold=XFEAT_THRESHOLD))
 
 
 def _extractor(path: Path, network: nnx.Module, detect: Callable[..., Detections]) -> Extractor:

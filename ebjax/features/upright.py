@@ -57,4 +57,4 @@ def turn(descriptors: Float[Array, "*n D"]) -> Float[Array, "*n D"]:
     return rotate_pi_descriptor(descriptors)
 
 
-ROOTSIFT = Extractor(extract, jitted=True, turn=turn)
+ROOTSIFT = Extractor(extract, jitted=True, turn=turn, octaves=octaves)

@@ -36,8 +36,8 @@ def demo(folder: str | Path = "runs/demo/sequence", beside: Callable[[], None] =
     if (folder / "rgb.txt").is_file():
         return folder
     begun_s = time.perf_counter()
-    said = f"rendering a synthetic corridor into {folder}; the first time, JAX compiles its programs: half a minute"
-    print(said, file=sys.stderr, flush=True)
+    said = "half a minute or more the first time, as JAX compiles its programs"
+    print(f"rendering a synthetic corridor into {folder}; {said}", file=sys.stderr, flush=True)
     with ThreadPoolExecutor(1) as pool:
         other = pool.submit(beside)
         render_sequence(CorridorConfig(), folder)

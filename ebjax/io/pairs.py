@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -14,7 +15,9 @@ from ebjax.io.text import read_text
 
 MOST = 1e12
 """Larger numbers, NaN too, are no pixels."""
+VIEW_PX = 400
 FORM = 'give "quad": four (x, y) px of a\'s floor, and "H_a_to_b": 3 x 3, px of a to px of b'
+TRUTH = 'give "rms_px", px of a view of "top_size" (400 x 400), both above 0, or leave it out'
 
 
 @dataclass(frozen=True)
@@ -27,6 +30,8 @@ class PairFiles:
       b: the second.
       quad: the floor in either image, (x, y) px: far left, far right, near right, near left.
       b_from_a: homography of the floor, px of a to px of b.
+      truth_px: how far the points it was fitted to lie from it, rms, px of a view of the quad of 400 x 400 px; None
+        where gt.json does not say so.
     """
 
     name: str
@@ -34,6 +39,7 @@ class PairFiles:
     b: Path
     quad: Float[np.ndarray, "4 2"]
     b_from_a: Float[np.ndarray, "3 3"]
+    truth_px: float | None = None
 
 
 def read_pairs(folder: str | Path) -> list[PairFiles]:
@@ -62,7 +68,20 @@ def _read_pair(path: Path) -> PairFiles:
     small = all((np.abs(array) < MOST).all() for array in (quad, homography))
     if quad.shape != (4, 2) or homography.shape != (3, 3) or not small or abs(np.linalg.det(homography)) < 1e-12:
         raise ValueError(f"{path}: {FORM}")
-    return PairFiles(path.parent.name, _image(path, "a"), _image(path, "b"), quad, homography)
+    truth_px = _truth_px(path, values)
+    return PairFiles(path.parent.name, _image(path, "a"), _image(path, "b"), quad, homography, truth_px)
+
+
+def _truth_px(path: Path, values: dict[str, Any]) -> float | None:
+    if values.get("rms_px") is None:
+        return None
+    try:
+        given = np.array([values["rms_px"], *values.get("top_size", (VIEW_PX, VIEW_PX))], np.float64)
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"{path}: {TRUTH}") from None
+    if given.shape != (3,) or not ((given > 0) & (given < MOST)).all():
+        raise ValueError(f"{path}: {TRUTH}")
+    return float(given[0] * VIEW_PX / given[1:].mean())
 
 
 def _image(path: Path, side: str) -> Path:

@@ -57,6 +57,8 @@ def show_list(config: ListConfig) -> None:
     for name, model in MODELS.items():
         print(f"{name:14} {model.file}, {model.size_mb:g} MB, {model.licence}")
         print(f"{'':14} {model.source}; {model.paper}")
+        if model.install:
+            print(f"{'':14} comes with {model.install}, and is then read from there")
     print("\npython -m ebjax.models convert FILE NAME.safetensors makes one of them usable here.")
 
 

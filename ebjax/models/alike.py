@@ -25,7 +25,7 @@ from ebjax.geometry.warp import sample_bilinear
 from ebjax.models.detect import Detections, inside, read_descriptors, soft_argmax, strongest, suppress_twice
 from ebjax.models.layers import Precision, conv, max_pool, normalise, relu
 from ebjax.models.resize import resize
-from ebjax.models.weights import kernel_from_torch
+from ebjax.models.weights import folded_norm, kernel_from_torch
 
 CELL = 32
 RADIUS = 2
@@ -185,11 +185,11 @@ def convert(state: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     for n in range(1, 5):
         found[f"gather{n}.kernel"] = kernel_from_torch(take(f"conv{n}.weight"))
         for k in (1, 2):
-            norm = [take(f"block{n}.bn{k}.{part}") for part in ("weight", "bias", "running_mean", "running_var")]
-            gain = norm[0] / np.sqrt(norm[3].astype(np.float64) + EPSILON)
-            kernel = kernel_from_torch(take(f"block{n}.conv{k}.weight")) * gain
-            found[f"block{n}.conv{k}.kernel"] = kernel.astype(np.float32)
-            found[f"block{n}.conv{k}.bias"] = (norm[1] - norm[2] * gain).astype(np.float32)
+            kernel = kernel_from_torch(take(f"block{n}.conv{k}.weight"))
+            scale, shift, mean, var = (
+                take(f"block{n}.bn{k}.{part}") for part in ("weight", "bias", "running_mean", "running_var")
+            )
+            found |= folded_norm(f"block{n}.conv{k}", kernel, mean, var, EPSILON, scale, shift)
         if n > 1:
             found[f"block{n}.projection.kernel"] = kernel_from_torch(take(f"block{n}.downsample.weight"))
             found[f"block{n}.projection.bias"] = take(f"block{n}.downsample.bias")

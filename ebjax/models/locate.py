@@ -1,15 +1,19 @@
 """Where the weights of a network lie on this computer, and the network that they make.
 
 One rule for every command: NAME.safetensors in the folder $EBJAX_WEIGHTS, by default ~/.cache/ebjax/weights; the option
---weights names another folder, or the file itself. --arithmetic chooses how it computes (`ebjax.models.fast`).
+--weights names another folder, or the file itself. Where the folder has none, the published file of an installed Python
+package that carries it (`Model.carrier`) is read; the package is not imported. --arithmetic chooses how the network
+computes (`ebjax.models.fast`).
 """
 
+import importlib.util
 import os
 from pathlib import Path
 
 from flax import nnx
 
-from ebjax.models.catalogue import find, load_network
+from ebjax.models.catalogue import Model, find, load_network, restore
+from ebjax.models.convert import convert_checkpoint
 from ebjax.models.fast import Arithmetic, accelerate
 
 
@@ -27,19 +31,35 @@ def locate(name: str, given: Path | None = None) -> Path:
       name: a name of `ebjax.models.catalogue.MODELS`.
       given: a file, or a folder that holds NAME.safetensors; None is `weights_folder()`.
 
+    Returns:
+      That file; where there is none, the published one that an installed package carries.
+
     Raises:
-      ValueError: there is none; the message says how to make it.
+      ValueError: there is neither; the message says how to get it.
     """
+    model = find(name)
     path = weights_folder() if given is None else given
     if given is None or path.is_dir():
         path = path / f"{name}.safetensors"
+        if not path.is_file() and (carried := carried_file(model)) is not None:
+            return carried
     if not path.is_file():
-        model = find(name)
+        install = f"{model.install}, or " if model.carrier else ""
         raise ValueError(
-            f"{name} needs weights, and {path} does not exist: get {model.file} ({model.source}) and run "
+            f"{name} needs weights, and {path} does not exist: {install}get {model.file} ({model.source}) and run "
             f"`python -m ebjax.models convert {model.file} {path}`"
         )
     return path
+
+
+def carried_file(model: Model) -> Path | None:
+    """The published file of a network, where an installed package carries it."""
+    package, _, inside = model.carrier.partition("/")
+    spec = importlib.util.find_spec(package) if package else None
+    for folder in (spec.submodule_search_locations or ()) if spec else ():
+        if (path := Path(folder) / inside).is_file():
+            return path
+    return None
 
 
 def open_network(
@@ -58,7 +78,11 @@ def open_network(
       OSError: they cannot be read.
     """
     path = locate(name, weights)
-    kind, network = load_network(path)
+    if path == carried_file(find(name)):
+        kind, arrays, _ = convert_checkpoint(path)
+        network = restore(kind, arrays)
+    else:
+        kind, network = load_network(path)
     if kind not in (name, *accepted):
         raise ValueError(f"{path}: weights of {kind}, not of {name}")
     return path, kind, accelerate(network, arithmetic)

@@ -119,6 +119,31 @@ def kernel_from_torch(array: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(np.transpose(array, (2, 3, 1, 0)) if array.ndim == 4 else array.T)
 
 
+def folded_norm(
+    name: str,
+    kernel: np.ndarray,
+    mean: np.ndarray,
+    variance: np.ndarray,
+    epsilon: float,
+    scale: np.ndarray | float = 1.0,
+    shift: np.ndarray | float = 0.0,
+) -> dict[str, np.ndarray]:
+    """The kernel and bias of a convolution without bias that takes over the batch normalisation behind it.
+
+    Args:
+      name: of the convolution.
+      kernel: height, width, in, out.
+      mean: of the normalisation, a number an output channel, as are the others.
+      variance: likewise.
+      epsilon: added to the variance.
+      scale: of the normalised output.
+      shift: likewise.
+    """
+    gain = scale / np.sqrt(variance.astype(np.float64) + epsilon)
+    arrays = {f"{name}.kernel": kernel * gain, f"{name}.bias": shift - mean * gain}
+    return {key: array.astype(np.float32) for key, array in arrays.items()}
+
+
 def _as(arrays: Mapping[str, Any], path: tuple, leaf: Any) -> Any:
     return jnp.asarray(arrays[".".join(map(str, path))], leaf.dtype)
 

@@ -41,6 +41,13 @@ def write_steps(path: Path, sequence: Sequence, motion: Motion) -> None:
             ])  # fmt: skip
 
 
+def spanned_steps(motion: Motion) -> int:
+    """Steps that nothing measured but what spans more than one."""
+    steps = motion.steps
+    consecutive = steps.used & (steps.i - steps.j == 1)
+    return len(motion.frames) - 1 - len(np.unique(steps.i[consecutive])) - motion.carried
+
+
 def motion_metrics(motion: Motion) -> dict[str, Any]:
     """What metrics.json says of the steps, the wheels, the clock and the mount."""
     steps = motion.steps
@@ -51,6 +58,7 @@ def motion_metrics(motion: Motion) -> dict[str, Any]:
         "steps": len(motion.frames) - 1,
         "measured": len(np.unique(steps.i[seen])),
         "bridged": len(np.unique(steps.i[consecutive & ~seen])),
+        "spanned": spanned_steps(motion),
         "carried": motion.carried,
         "pairs_measured": int(steps.used.sum()),
         "pairs_refused": int((~steps.used).sum()),
@@ -93,7 +101,8 @@ def motion_lines(metrics: Mapping[str, Any]) -> list[str]:
     pairs = found["pairs_measured"] + found["pairs_refused"]
     lines = [
         f"steps: {found['measured']} of {found['steps']} measured on the floor, {found['bridged']} by the whole image, "
-        f"{found['carried']} by nothing; {found['pairs_refused']} of {pairs} pairs refused"
+        f"{found['spanned']} by frames further apart, {found['carried']} by nothing; {found['pairs_refused']} of "
+        f"{pairs} pairs refused"
     ]
     for jump in found["jumps"][:5]:
         lines.append(

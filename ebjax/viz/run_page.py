@@ -195,7 +195,8 @@ def sentence(line: str) -> str:
 
 def _motion(motion: Mapping[str, Any]) -> dict[str, Any]:
     """What measured the steps, and why pairs were refused."""
-    rows = [[name, motion[key]] for name, key in (("steps", "steps"), ("measured on the floor", "measured"),
-            ("by the whole image", "bridged"), ("by nothing", "carried"))]  # fmt: skip
+    rows = [[name, motion[key]] for name, key in (
+        ("steps", "steps"), ("measured on the floor", "measured"), ("by the whole image", "bridged"),
+        ("by frames further apart", "spanned"), ("by nothing", "carried"))]  # fmt: skip
     rows += [[f"refused: {reason}", count] for reason, count in motion["refused"].items()]
     return {"columns": ["", "number"], "rows": rows}

@@ -8,6 +8,7 @@ from collections.abc import Callable
 EVERY_S = 5.0
 LEAST_S = 1.0
 """A plain line comes after EVERY_S, or after another tenth of the run, but not within LEAST_S of the last."""
+COMPILES = "reads its programs, or compiles those it has not kept yet"
 
 
 class Counts:
@@ -48,6 +49,8 @@ class PlainLines(Counts):
             self._write()
 
     def __enter__(self) -> "PlainLines":
+        if self.total:
+            print(f"frame 0 of {self.total:,}: waits while JAX {COMPILES}", file=sys.stderr, flush=True)
         return self
 
     def __exit__(self, *fault: object) -> None:
@@ -69,7 +72,7 @@ class LiveLine(Counts):
 
         columns = (TextColumn("{task.description}"), BarColumn(20), MofNCompleteColumn(), TimeRemainingColumn())
         self.progress = Progress(*columns, console=Console(stderr=True), transient=True, refresh_per_second=4)
-        self.task = self.progress.add_task("", total=total)
+        self.task = self.progress.add_task(f"JAX {COMPILES}", total=total)
 
     def update(self, frame: int, keyframes: int, closures: int, ms: float) -> None:
         """After a frame, as `count`."""

@@ -1,3 +1,4 @@
+import dataclasses
 import json
 
 import numpy as np
@@ -36,10 +37,13 @@ def test_error_is_that_on_the_common_floor(pair):
 
 def test_table_of_means_and_of_pairs():
     cells = {"one": Cell(3, 10, False, np.inf), "two": Cell(30, 40, True, 1.234)}
-    lines = list(markdown({"orb": {"raw": cells, "floor": cells, "floor + pi": cells}}))
+    dear = {"one": Cell(3, 10, False, 0.5, 3.0, 90, 12.0), "two": Cell(30, 40, True, 1.25, 1.2, 110, 13.0)}
+    lines = list(markdown({"orb": {"raw": cells, "floor": cells, "floor + pi": dear}}, {"orb": 1.25}))
     assert lines[4] == "| orb | 16 / 25, 1 of 2 | 16 / 25, 1 of 2 | 16 / 25, 1 of 2 |"
+    assert lines[10] == "| orb | 100 | 16 | 0.53 | 0.88 | 1 of 2 | 12 | 1.2 |"
+    assert lines[-5] == "| extractor | input | one (right below 3.0 px) | two (right below 3.0 px) |"
     assert lines[-3] == "| orb | raw | 3 / 10, - | 30 / 40 *, 1.2 px |"
-    assert len({line.count("|") for line in lines[8:]}) == 1
+    assert [len({line.count("|") for line in part}) for part in (lines[2:5], lines[8:11], lines[14:])] == [1, 1, 1]
 
 
 def test_command_writes_the_table_and_says_what_is_left_out(scene, tmp_path, capsys):
@@ -54,6 +58,14 @@ def test_command_writes_the_table_and_says_what_is_left_out(scene, tmp_path, cap
     row = {name: cells["one"] for name, cells in values["table"]["rootsift"].items()}
     assert [row[name]["right"] for name in ("raw", "floor", "floor + pi")] == [False, False, True]
     assert row["floor + pi"]["error_px"] < 1.5 and row["floor + pi"]["believed"]
+    assert row["floor + pi"]["keypoints"] > 100 and row["floor + pi"]["view_ms"] > 0
+    assert row["raw"]["view_ms"] is None and row["raw"]["right_px"] == 3.0
+
+
+def test_a_truth_that_says_how_good_it_is_is_believed(pair):
+    known = dataclasses.replace(pair, truth_px=0.4)
+    assert pair.right_px == 3.0 and known.right_px == pytest.approx(0.8)
+    assert Cell(9, 10, True, 0.9, pair.right_px).right and not Cell(9, 10, True, 0.9, known.right_px).right
 
 
 def test_bad_pairs_are_named(scene, tmp_path):

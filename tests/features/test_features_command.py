@@ -150,7 +150,9 @@ def test_all_leaves_out_what_cannot_be_used_and_says_why(command, written, monke
     lines = done.stdout.splitlines()
     assert [line.split()[0] for line in lines[1:6]] == ["floornet", "rootsift", "sift", "orb", "surf"]
     left_out = [line for line in lines if line.startswith("left out: ")]
-    assert [line.split()[2] for line in left_out] == ["superpoint", "d2net", "alike"]
+    # The others' weights come with packages that may be installed.
+    without = [line.split()[2] for line in left_out]
+    assert [name for name in without if name not in ("aliked", "xfeat")] == ["superpoint", "d2net", "alike"]
     assert all("python -m ebjax.models convert" in line for line in left_out)
 
 

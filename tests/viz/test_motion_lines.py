@@ -70,11 +70,12 @@ def lines(**changed):
 
 def test_steps_are_counted_by_what_measured_them():
     found = motion_metrics(motion())
-    names = ("steps", "measured", "bridged", "carried", "pairs_measured", "pairs_refused")
-    assert [found[name] for name in names] == [4, 2, 1, 1, 4, 2]
+    names = ("steps", "measured", "bridged", "spanned", "carried", "pairs_measured", "pairs_refused")
+    assert [found[name] for name in names] == [4, 2, 1, 0, 1, 4, 2]
     assert found["refused"] == {"few matches": 1, "12 of 80 agree": 1}
     (said,) = lines()
-    assert said == ("steps: 2 of 4 measured on the floor, 1 by the whole image, 1 by nothing; 2 of 6 pairs refused")
+    floor_and_image = "steps: 2 of 4 measured on the floor, 1 by the whole image"
+    assert said == f"{floor_and_image}, 0 by frames further apart, 1 by nothing; 2 of 6 pairs refused"
 
 
 def test_no_motion_says_nothing():

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from ebjax.viz.ticker import LiveLine, PlainLines, ticker
+from ebjax.viz.ticker import COMPILES, LiveLine, PlainLines, ticker
 
 
 class Terminal(io.StringIO):
@@ -25,7 +25,11 @@ def run(total, frames, seconds_a_frame, *, first=0, ms=(20.0,), stream=io.String
         for k in range(first, first + frames):
             now[0] += seconds_a_frame
             t.update(k, k // 2, k // 10, ms[k % len(ms)])
-    return written.getvalue()
+    told = written.getvalue()
+    if total and stream is io.StringIO:
+        first_line, _, told = told.partition("\n")
+        assert first_line == f"frame 0 of {total:,}: waits while JAX {COMPILES}"
+    return told
 
 
 def test_lines_come_every_five_seconds_and_at_the_end():
@@ -61,7 +65,7 @@ def test_an_error_leaves_what_was_done():
     with contextlib.redirect_stderr(io.StringIO()) as written, pytest.raises(KeyboardInterrupt), ticker(10) as t:
         t.update(0, 1, 0, 5.0)
         raise KeyboardInterrupt
-    assert written.getvalue().startswith("frame 1 of 10 (10%): 1 keyframes")
+    assert written.getvalue().splitlines()[1].startswith("frame 1 of 10 (10%): 1 keyframes")
 
 
 @pytest.mark.parametrize("total, counted", [(64, "64/64"), (None, "64/?")])
