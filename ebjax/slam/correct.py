@@ -18,6 +18,7 @@ from ebjax.geometry.planar import between, compose
 from ebjax.posegraph.graph import PoseGraph, make_graph
 from ebjax.posegraph.lm import solve
 from ebjax.posegraph.warm import compile_solve_for
+from ebjax.slam.pauses import brief_turns
 
 SHARE, LEAST = 64, 4
 LARGE, WHOLE = 1024, 16
@@ -73,7 +74,7 @@ class Corrector:
         if 2 * rows > self._compiled and (self._most is None or self._most > self._compiled):
             # At half its capacity: the programs of larger graphs are ready when they are needed.
             self._compiled *= 2
-            self._beside.submit(compile_solve_for, self._compiled)
+            self._beside.submit(_compiled, self._compiled)
         if rows <= LARGE or rows - self._whole >= rows // WHOLE:
             self._whole, first = rows, 0
         else:
@@ -109,6 +110,11 @@ class Corrector:
         """Waits for what was begun."""
         self._pool.shutdown()
         self._beside.shutdown(cancel_futures=True)
+
+
+def _compiled(rows: int) -> None:
+    with brief_turns():
+        compile_solve_for(rows)
 
 
 def _solved(graph: Begin, thought: Float[np.ndarray, "N 3"], first: int) -> Corrected:

@@ -1,6 +1,7 @@
-"""The search for cycles looks at what is new, and at everything again when the drive is over."""
+"""The search for cycles looks at what is new, and at everything again when the drive is over; turns are brief."""
 
 import gc
+import sys
 
 from ebjax.slam import pauses
 
@@ -18,3 +19,10 @@ def test_objects_are_set_aside_each_time_the_keyframes_have_doubled():
     finally:
         pauses.over()
     assert gc.get_freeze_count() == 0
+
+
+def test_turns_are_brief_for_a_while():
+    usual = sys.getswitchinterval()
+    with pauses.brief_turns():
+        assert sys.getswitchinterval() < usual / 10
+    assert sys.getswitchinterval() == usual
