@@ -12,7 +12,6 @@ from ebjax.geometry.camera import Camera
 from ebjax.mapping.agreement import check_map, made_with
 from ebjax.mapping.seen_floor import run_view
 from ebjax.mapping.still_map import open_still_map
-from ebjax.slam import pauses
 from ebjax.slam.frame import Frame
 from ebjax.slam.localise import Localiser as InMap
 from ebjax.slam.localise import Whereabouts
@@ -54,7 +53,6 @@ class Localiser:
         self.options, own, log = taken(camera, options, "Localiser")
         view = (log.view if log else lambda mounted: run_view(self.options, None, mounted))(own)
         self._at_end = contextlib.ExitStack()
-        self._at_end.callback(pauses.over)
         try:
             still = self._at_end.enter_context(open_still_map(map))
             self.notes = (

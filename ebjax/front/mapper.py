@@ -24,7 +24,6 @@ from ebjax.mapping.kept_run import read_as
 from ebjax.mapping.looked_by import camera_file
 from ebjax.mapping.seen_floor import run_view
 from ebjax.mapping.store import MapStore, open_map
-from ebjax.slam import pauses
 from ebjax.slam.drive import drive
 from ebjax.slam.engine import Engine
 from ebjax.slam.frame import Frame, Update
@@ -73,7 +72,6 @@ class Mapper:
         self._path = None if map is None else Path(map)
         self._name = str(log.sequence.path.resolve()) if log else name
         self._log, self._at_end = log, contextlib.ExitStack()
-        self._at_end.callback(pauses.over)
         self._remember = remembering(self.options, self._at_end)
         self._store: MapStore | None = None
         self._stood: dict[int, np.ndarray] = {}

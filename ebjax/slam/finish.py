@@ -20,7 +20,6 @@ from ebjax.odometry.motion import (
     motion_of_nodding,
     motion_with_closures,
 )
-from ebjax.slam import pauses
 from ebjax.slam.close import close
 from ebjax.slam.engine import Engine
 from ebjax.slam.lean import Asked, By, Lean, image_level, shown_by_depth, shown_by_the_floor, used
@@ -88,7 +87,6 @@ def finish(engine: Engine, again: Again) -> Run:
         engine = moved.engine
     again_s = engine.seconds.get("frames", 0.0) - driven_s  # counted already
     engine.seconds["motion"] = time.perf_counter() - begun - again_s
-    pauses.over()
     return concluded(engine, moved)
 
 

@@ -1,8 +1,7 @@
 """What would stop a robot's thread for longer than a keyframe takes, kept short.
 
-A full search for cycles of objects stops every thread while it looks at all objects that could be part of one. JAX and
-its programs have four hundred thousand of them. Objects that are there already are set aside: what is new since then is
-all that is looked at.
+A full search for cycles of objects stops every thread while it looks at all objects that could be part of one. JAX has
+hundreds of thousands of them, for as long as the process lives. They are set aside: only what came later is looked at.
 
 While a program is compiled beside the drive, Python traces it, and a thread that wants a turn gets one after 5 ms. A
 keyframe asks for hundreds of turns.
@@ -17,15 +16,11 @@ TURN_S = 1e-4
 """How long Python may go on in one thread while another waits, when much is traced beside a drive."""
 
 
-def keep_short(keyframes: int) -> None:
-    """Sets aside all that there is, each time that the number of keyframes has doubled."""
-    if keyframes & (keyframes - 1) == 0:
+def keep_short() -> None:
+    """Sets aside what there is, once in a process: what is a run's own must be found when it is let go of."""
+    if not gc.get_freeze_count():
+        gc.collect()
         gc.freeze()
-
-
-def over() -> None:
-    """Lets everything be looked at again."""
-    gc.unfreeze()
 
 
 @contextlib.contextmanager

@@ -71,6 +71,7 @@ class Walker:
         self.camera, self.recording, self.lean, self.remember = camera, recording, lean, remember
         networks = self.config.weights, self.config.arithmetic
         chosen, place = extractor(self.config.extractor, *networks), descriptor(self.config.descriptor, *networks)
+        pauses.keep_short()
         if remember is not None and not chosen.jitted:
             chosen = remembered(chosen, remember(self.config.extractor, chosen.weights))
         if remember is not None and not place.jitted:
@@ -201,7 +202,6 @@ class Walker:
         if row:
             step = np.linalg.norm(self.chain.poses[row, :2] - self.chain.poses[row - 1, :2])
             self.keyframes.travelled[row] = self.keyframes.travelled[row - 1] + step * (row > self.start)
-        pauses.keep_short(row + 1 - self.start)
         return row
 
     def _way(self, first: int) -> Float[np.ndarray, "N 3"]:
