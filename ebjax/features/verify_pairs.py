@@ -85,6 +85,11 @@ def pair_numbers(seed: int, i: int, j: int, opposing: bool) -> UInt32[np.ndarray
 _settle = jax.jit(settled_motion)
 
 
+def rows_of(matches: PairMatches) -> Callable[[Int[np.ndarray, " n"]], PairMatches]:
+    """What gives some rows of matches that are all at hand."""
+    return lambda rows: jax.tree.map(lambda leaf: np.asarray(leaf)[rows], matches)
+
+
 def settle_all(
     matches: Callable[[Int[np.ndarray, " n"]], PairMatches], count: int, camera: Camera, tolerance_m: float
 ) -> Settled:

@@ -1,8 +1,8 @@
-import jax
 import numpy as np
 import pytest
 
 from ebjax.features.settle import PairMatches
+from ebjax.features.verify_pairs import rows_of
 from ebjax.geometry.camera import camera_over_floor
 from ebjax.geometry.planar import between, chained, compose, log
 from ebjax.odometry.chain import Edges
@@ -58,7 +58,7 @@ def motion_of(poses, frames=FRAMES):
         carried=0,
         trust_depth=False,
         warnings=(),
-        pairs=FloorPairs(none, none, none, none, lambda rows: jax.tree.map(lambda leaf: leaf[rows], matches)),
+        pairs=FloorPairs(none, none, none, none, rows_of(matches)),
         bridged=steps,
     )
 
