@@ -178,4 +178,5 @@ def test_another_run_compiles_nothing(keyframes):
     )
     fused_motion(few, CAMERA, few.wheels_at(0.0), MotionConfig(0.02, "tilt", False, WheelErrors()))
     assert [program._cache_size() for program in programs] == before
-    assert min(before) >= 1
+    # Settling apart from verifying is what other mounts ask for.
+    assert before[0] >= 1 and before[2] >= 1
