@@ -212,7 +212,9 @@ def nods(
         lean = lean + step
         change = np.concatenate([step[i], step[j]], 1)
         motion = motion - np.einsum("kab,kb->ka", inner, gradient[:, 4:]) - np.einsum("kab,kb->ka", gain, change)
-    return Nods(lean, np.sqrt(_inverse_diagonal(total)).reshape(count, 2))
+    variance = _inverse_diagonal(total)
+    # Where rounding leaves no variance, nothing is known but what was believed beforehand.
+    return Nods(lean, np.sqrt(np.where(variance > 0, variance, 1 / prior)).reshape(count, 2))
 
 
 def _averages(times: Float[np.ndarray, " N"]) -> sparse.csc_matrix:
