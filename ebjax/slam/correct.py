@@ -26,7 +26,7 @@ LARGE, WHOLE = 1024, 16
 STEPS, RTOL = 20, 1e-3
 """Of a solve: it ends where a step gains less than that share; at the end of a run the graph is solved to the end."""
 SOLVER = "qdldl"
-"""Lets Python run while it factorises; with CHOLMOD, three times as fast, the robot would wait."""
+"""Lets Python run while it factorises, as CHOLMOD does not: the robot would wait."""
 FIRST = 256
 """Rows of the smallest graph program."""
 
