@@ -3,7 +3,8 @@
 The floor is described as by `floornet`, the image as by `rootsift_vlad`, each with words of its own, and joined as
 (sqrt(a) floor, sqrt(1 - a) whole), so that the cosine of two views is a times that of their floors plus 1 - a times
 that of their images. The share a is learned from the run: a part counts by how far the best match of a view stands out
-from the others beyond what chance would give (`distinctness`), so one that tells nothing gets next to nothing.
+from the others beyond what chance would give (`distinctness`), and by how often the next view's best match is next to
+it (`steadiness`), so one that tells nothing gets next to nothing.
 From the opposite side only the floor is the same: of a view turned by pi the whole image has no part. The floor's maps
 are correlated too, and count as much as its vector.
 """
@@ -26,6 +27,9 @@ from ebjax.places.view import resized
 SIDE_PX = 200
 SAMPLE_VIEWS = 512
 DRAWS = 400
+NEIGHBOURS, STRIDE = 10, 2
+"""Views so near in the run show the same place; views that follow each other match views at most so far apart."""
+ROWS = 1024
 
 
 @jax.jit
@@ -68,9 +72,26 @@ def distinctness(vectors: Float[Array, "N V"]) -> float:
     return max(0.0, float((cosines.max(1).mean() - chance) / spread**2))
 
 
+def steadiness(vectors: Float[Array, "N V"]) -> float:
+    """How often the best matches of two views that follow each other do so too, STRIDE apart at most.
+
+    A view's neighbours in the run do not count as its matches. A robot that drives past the same places again gives
+    nearly 1, what matches by chance or by sameness little; 1 too for a run that is too short to tell.
+    """
+    every = np.asarray(vectors, np.float32)
+    number = np.arange(len(every))
+    if len(every) < 2 * (NEIGHBOURS + 1):
+        return 1.0
+    best = []
+    for rows in np.split(number, range(ROWS, len(number), ROWS)):
+        near = np.abs(rows[:, None] - number[None, :]) <= NEIGHBOURS
+        best.append(np.argmax(np.where(near, -np.inf, every[rows] @ every.T), 1))
+    return float(np.mean(np.abs(np.diff(np.concatenate(best))) <= STRIDE))
+
+
 def floor_share(floor: Float[Array, "N V"], whole: Float[Array, "N W"]) -> float:
-    """a: the floor's distinctness over that of both; a half where neither has any."""
-    a, b = distinctness(floor), distinctness(whole)
+    """a: the floor's distinctness times steadiness over the sum of both parts'; a half where neither has any."""
+    a, b = (distinctness(vectors) * steadiness(vectors) for vectors in (floor, whole))
     return a / (a + b) if a + b > 0 else 0.5
 
 

@@ -77,6 +77,16 @@ def test_distinctness_is_nothing_for_noise_and_grows_with_order():
     assert joint.floor_share(jnp.ones((5, 4)) / 2, jnp.ones((5, 4)) / 2) == 0.5
 
 
+def test_steady_are_views_that_match_one_after_another():
+    """Places passed twice match in turn, noise does not."""
+    passed = RNG.standard_normal((60, 64))
+    twice = np.concatenate([passed, passed + 0.3 * RNG.standard_normal(passed.shape)])
+    noise = RNG.standard_normal((2000, 64))
+    assert joint.steadiness(jnp.asarray(twice)) > 0.95
+    assert joint.steadiness(jnp.asarray(noise)) < 0.02
+    assert joint.steadiness(jnp.asarray(passed[:5])) == 1
+
+
 def test_a_real_corridor_with_a_carpet(data):
     """A query's true references are its own number and two on either side. This floor says little, and does no harm."""
     folders = [data("vpr_corridor") / name for name in ("ref", "query")]
