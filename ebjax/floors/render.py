@@ -16,7 +16,17 @@ from ebjax.floors.lattice import entry
 from ebjax.floors.obstacles import Boxes, Posts, see_boxes, see_posts, shade_by_boxes, shade_by_posts
 from ebjax.floors.ramp import Ramp, see_level
 from ebjax.floors.rays import Rays, bent_rays
-from ebjax.floors.scene import CEILING_M, LAMP_SPACING_M, Scene, ceiling, covered, lamps, nearest_wall, wall_colour
+from ebjax.floors.scene import (
+    CEILING_M,
+    LAMP_SPACING_M,
+    Scene,
+    ceiling,
+    covered,
+    lamps,
+    nearest_wall,
+    wall_colour,
+    window_panes,
+)
 from ebjax.geometry.camera import Camera
 from ebjax.geometry.pytree import pytree
 
@@ -26,6 +36,18 @@ SUN_SPACING_M, SUN_WIDTH_M, SUN_SLANT = 3.1, 0.9, 0.6
 Component = Float[Array, "H W"]
 Step = list[Component] | Float[Array, "3 *rows"]
 Things = typing.TypeVar("Things", Boxes, Posts)
+
+
+@pytree
+class Mirror:
+    """What a polished floor mirrors besides its lamps; leading axes as those of Light."""
+
+    strength: Float[Array, "*lights"]
+    """0 to 1, of walls, doors and ceiling."""
+    windows: Float[Array, "*lights"]
+    """Radiance of windows in the walls, one between two doors: they are seen in the walls too."""
+    rough: Float[Array, "*lights"]
+    """Softness of the image a metre of way from the floor."""
 
 
 @pytree
@@ -44,6 +66,8 @@ class Light:
     """What the sun adds on the floor behind windows, times the lamps' light; 0 is no window; K is a power of two."""
     sun_shift: Float[Array, "*lights"]
     """Where along the corridors it does, m."""
+    mirror: Mirror | None = None
+    """None: of the room the floor mirrors the lamps alone."""
 
 
 @pytree
@@ -63,9 +87,14 @@ def _footprint(
 
 
 def _walls(
-    scene: Scene, ray: list[Component], steps: list[Step], origin: Float[Array, "3 *rows"]
+    scene: Scene,
+    ray: list[Component],
+    steps: list[Step],
+    origin: Float[Array, "3 *rows"],
+    t_level: Component,
+    mirror: Mirror | None,
 ) -> tuple[Float[Array, "H W 3"], Component]:
-    """Reflectance of the nearest wall along every ray, and its depth."""
+    """Reflectance of the nearest wall along every ray, and its depth; beyond the floor the ray goes up again."""
     hit = nearest_wall(scene.walls, ray, origin)
     ex, ey = hit.direction[..., 0], hit.direction[..., 1]
     by_u, by_v = _footprint(hit.t, ray, steps, [-ey, ex, 0.0], hit.normal_ray)
@@ -75,16 +104,46 @@ def _walls(
     height = origin[2] + hit.t * ray[2]
     if scene.ramp is not None:
         height = height - scene.ramp.height(origin[0] + hit.t * ray[0], origin[1] + hit.t * ray[1])
+    if mirror is not None:
+        softer = mirror.rough * jnp.maximum(hit.t - t_level, 0)
+        wide, tall, height = wide + softer, tall + softer, jnp.abs(height)
     colour = wall_colour(plaster, hit.along, height, wide, tall, hit.length, doors[..., 0], doors[..., 1])
-    return colour * (0.85 + 0.15 * jnp.abs(ex))[..., None], hit.t
+    colour = colour * (0.85 + 0.15 * jnp.abs(ex))[..., None]
+    if mirror is not None:
+        panes = window_panes(hit.along, height, wide, tall, hit.length, doors[..., 0], doors[..., 1])
+        colour = colour + (mirror.windows * panes)[..., None]
+    return colour, hit.t
 
 
-def _mirrored_lamps(along: Component, across: Component, step: list[Component], up: Component) -> Component:
-    """What the glossy floor mirrors of the lamps; Fresnel (Schlick) makes it grow with distance."""
-    climb = CEILING_M / up
+def _fresnel(step: list[Component], up: Component) -> Component:
+    """Share of the light that a level floor mirrors (Schlick 1994): it grows with distance."""
     cosine = up / jnp.sqrt(step[0] ** 2 + step[1] ** 2 + up**2)
-    fresnel = 0.04 + 0.96 * (1 - cosine) ** 5
-    return LAMP_RADIANCE * fresnel * lamps(along + climb * step[0], across + climb * step[1], 0.03 + 0.02 * climb)
+    return 0.04 + 0.96 * (1 - cosine) ** 5
+
+
+def _mirrored_lamps(
+    along: Component, across: Component, step: list[Component], up: Component, size: Float[Array, "3"] | None
+) -> Component:
+    """What the glossy floor mirrors of the lamps."""
+    climb = CEILING_M / up
+    image = lamps(along + climb * step[0], across + climb * step[1], 0.03 + 0.02 * climb, size)
+    return LAMP_RADIANCE * _fresnel(step, up) * image
+
+
+def _mirrored_room(
+    mirror: Mirror,
+    walls: tuple[Float[Array, "H W 3"], Component],
+    ground: atlas.Ground,
+    step: list[Component],
+    t: Component,
+    up: Component,
+) -> Float[Array, "H W 3"]:
+    """What the floor mirrors of walls and ceiling: the ceiling is met CEILING_M / up after the floor."""
+    climb = CEILING_M / up
+    panels = ceiling(ground.along + climb * step[0], ground.across + climb * step[1], 0.02 + mirror.rough * climb, 0.0)
+    colour, t_wall = walls
+    seen = jnp.where((t_wall < t + climb)[..., None], colour, panels)
+    return (mirror.strength * _fresnel(step, up))[..., None] * seen
 
 
 def _by_row(vector: Float[Array, "*H 3"]) -> Float[Array, "3 *rows"]:
@@ -161,7 +220,7 @@ def render(
         ray, steps = _turned(rotation, rays.directions), [_turned(rotation, step) for step in rays.steps]
 
     t_level, down, rise, normal = see_level(scene.ramp, ray, origin, CEILING_M)
-    plaster, t_wall = _walls(scene, ray, steps, origin)
+    plaster, t_wall = _walls(scene, ray, steps, origin, t_level, light.mirror)
     is_level = t_level <= t_wall
     is_floor: Bool[Array, "H W"] = is_level & down
 
@@ -183,7 +242,7 @@ def render(
     shade = shade * shade_by_boxes(scene.furniture, x, y) * shade_by_boxes(passers.boxes, x, y)
     floor = floor * shade[..., None]
     floor = floor * (1 + _sun(ground.along, ground.across, size, light))[..., None]
-    above = ceiling(ground.along, ground.across, size, LAMP_RADIANCE)
+    above = ceiling(ground.along, ground.across, size, LAMP_RADIANCE, scene.lamp_m)
     colour = jnp.where(is_level[..., None], jnp.where(down[..., None], floor, above), plaster)
 
     depth = jnp.where(is_level, t_level, t_wall)
@@ -192,8 +251,11 @@ def render(
     pools = 1 + light.contrast * (0.7 * jnp.cos(wave * hit_x) + 0.3 * jnp.cos(wave * hit_y))
     far_x, far_y = (jnp.clip(hit, -DAYLIGHT_M, DAYLIGHT_M) for hit in (hit_x, hit_y))
     colour = colour * (pools * jnp.maximum(1 + light.slope[0] * far_x + light.slope[1] * far_y, 0.1))[..., None]
-    glare = light.gloss * _mirrored_lamps(ground.along, ground.across, step, up)
+    glare = light.gloss * _mirrored_lamps(ground.along, ground.across, step, up, scene.lamp_m)
     colour = colour + jnp.where(is_floor, glare, 0.0)[..., None]
+    if light.mirror is not None:
+        room = _mirrored_room(light.mirror, (plaster, t_wall), ground, step, t, up)
+        colour = colour + jnp.where(is_floor[..., None], room, 0.0)
     for boxes in (scene.furniture, passers.boxes):
         depth, colour = see_boxes(_raised(boxes, scene.ramp), ray, origin, depth, colour)
     depth, colour = see_posts(_raised(passers.posts, scene.ramp), ray, origin, depth, colour)

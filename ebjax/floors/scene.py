@@ -20,6 +20,7 @@ from ebjax.floors.ramp import Ramp
 CEILING_M = 2.6
 SKIRTING_M = 0.11
 DOOR_WIDTH_M, DOOR_HEIGHT_M, DOOR_FRAME_M = 0.9, 2.05, 0.06
+SILL_M = 0.9
 PANEL_M, PANEL_GAP_M = 0.6, 0.02
 LAMP_SPACING_M, LAMP_SIDE_M = 2.4, 0.58
 WALL, SKIRTING, DOOR, FRAME, CEILING, GRID = (
@@ -47,6 +48,8 @@ class Scene:
     furniture: Boxes
     """Heights are above the floor."""
     ramp: Ramp | None = None
+    lamp_m: Float[Array, "3"] | None = None
+    """Spacing, length and width of the lamps; None: square panels."""
 
 
 def make_scene(
@@ -56,6 +59,7 @@ def make_scene(
     furniture: Boxes,
     wall_colours: Float[np.ndarray, "S 3"] | None = None,
     ramp: Ramp | None = None,
+    lamp_m: tuple[float, float, float] | None = None,
 ) -> Scene:
     """Walls of one plaster unless told otherwise, identical doors along them; the dtype is the floor's."""
     dtype = floor.lengths.dtype
@@ -69,6 +73,7 @@ def make_scene(
         floor,
         furniture,
         jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), ramp),
+        None if lamp_m is None else jnp.asarray(lamp_m, dtype),
     )
 
 
@@ -100,21 +105,40 @@ def wall_colour(
     return _mix(colour, DOOR, box(DOOR_WIDTH_M / 2, DOOR_HEIGHT_M))
 
 
-def lamps(along: Plane, across: Plane, blur: Plane) -> Plane:
-    """Share of a blurred ceiling point that is lamp: square panels above a corridor's middle, one every 2.4 m."""
-    offset = along - LAMP_SPACING_M * jnp.round(along / LAMP_SPACING_M)
-    half = LAMP_SIDE_M / 2
-    return jax.nn.sigmoid((half - jnp.abs(offset)) / blur) * jax.nn.sigmoid((half - jnp.abs(across)) / blur)
+def window_panes(along, height, footprint_along, footprint_height, length, first_door, door_spacing) -> Plane:
+    """Share of a wall's point that is window: one between two doors, as wide as a door, from sill to lintel."""
+    nearest = jnp.round((along - first_door) / door_spacing - 0.5) + 0.5
+    centre = first_door + door_spacing * nearest
+    fits = (centre - DOOR_WIDTH_M / 2 > 0) & (centre + DOOR_WIDTH_M / 2 < length)
+    across = covered(along - centre, -DOOR_WIDTH_M / 2, DOOR_WIDTH_M / 2, footprint_along)
+    return fits * across * covered(height, SILL_M, DOOR_HEIGHT_M, footprint_height)
 
 
-def ceiling(along: Plane, across: Plane, footprint: Plane, lamp: float) -> Float[Array, "H W 3"]:
+def lamps(along: Plane, across: Plane, blur: Plane, size: Float[Array, "3"] | None = None) -> Plane:
+    """Share of a blurred ceiling point that is lamp: rectangles above a corridor's middle.
+
+    Args:
+      along: where the point is, m.
+      across: from the middle, m.
+      blur: m.
+      size: spacing, length, width, m; None: square panels, one every 2.4 m.
+    """
+    spacing, length, width = (LAMP_SPACING_M, LAMP_SIDE_M, LAMP_SIDE_M) if size is None else size
+    offset = along - spacing * jnp.round(along / spacing)
+    within = jax.nn.sigmoid((length / 2 - jnp.abs(offset)) / blur)
+    return within * jax.nn.sigmoid((width / 2 - jnp.abs(across)) / blur)
+
+
+def ceiling(
+    along: Plane, across: Plane, footprint: Plane, lamp: float, size: Float[Array, "3"] | None = None
+) -> Float[Array, "H W 3"]:
     """Panels in a grid, and the lamps' radiance."""
     gaps = jnp.zeros_like(along)
     for x in (along, across + PANEL_M / 2):
         offset = x - PANEL_M * jnp.round(x / PANEL_M - 0.5) - PANEL_M / 2
         gaps = jnp.maximum(gaps, covered(offset, -PANEL_GAP_M / 2, PANEL_GAP_M / 2, footprint))
     panels = _mix(jnp.broadcast_to(jnp.array(CEILING, along.dtype), (*along.shape, 3)), GRID, gaps)
-    return _mix(panels, (lamp, lamp, lamp), lamps(along, across, 0.004 + 0.3 * footprint))
+    return _mix(panels, (lamp, lamp, lamp), lamps(along, across, 0.004 + 0.3 * footprint, size))
 
 
 class Hit(NamedTuple):

@@ -23,7 +23,7 @@ from ebjax.floors.passers import PassersConfig
 from ebjax.floors.plan import Plan, PlanConfig, make_plan, polyline
 from ebjax.floors.ramp import make_ramp, stand
 from ebjax.floors.rays import Rays, bent_rays
-from ebjax.floors.render import Light, Passers, render
+from ebjax.floors.render import Light, Mirror, Passers, render
 from ebjax.floors.robot import RobotConfig
 from ebjax.floors.scene import CEILING_M, Scene, make_scene
 from ebjax.floors.sensor import SensorConfig
@@ -47,6 +47,14 @@ class CorridorConfig:
     """How much the exposure differs from pass to pass: standard deviation of its natural logarithm."""
     gloss: float | None = None
     """Mirror image of the lamps in the floor, 0 to 1; None: that of the floor's family."""
+    mirror: float = 0.0
+    """Mirror image of walls, doors and ceiling in the floor, 0 to 1; 0: of the room only the lamps are mirrored."""
+    windows: float = 0.0
+    """Radiance of windows in the walls, one between two doors, a white floor's being 1; needs `mirror`."""
+    rough: float = 0.03
+    """Softness of that mirror image: a metre from the floor it is blurred over so many metres."""
+    lamp_m: tuple[float, float, float] | None = None
+    """Spacing, length and width of the lamps, m; None: square panels."""
     sun: float = 0.0
     """Sunlight through some windows onto the floor, times the lamps' light; it wanders and fades between passes."""
     landmarks_per_m: float = 0.0
@@ -74,11 +82,15 @@ def check(config: CorridorConfig, calibration: CalibrationValues | None = None) 
     for name in ("width_m", "margin_m", "door_spacing_m"):
         if not getattr(config.plan, name) > 0:
             raise ValueError(f"plan.{name} is {getattr(config.plan, name)}: needs a value above 0")
-    for name in ("light_change", "gloss"):
+    for name in ("light_change", "gloss", "mirror"):
         value = getattr(config, name)
         if value is not None and not 0 <= value <= 1:
             raise ValueError(f"{name} is {value}: needs a value from 0 to 1")
-    for name in ("sun", "landmarks_per_m", "exposure_change"):
+    if config.windows and not config.mirror:
+        raise ValueError(f"windows is {config.windows}, mirror is 0: needs a floor that mirrors them")
+    if config.lamp_m is not None and not min(config.lamp_m) > 0:
+        raise ValueError(f"lamp_m is {config.lamp_m}: needs a spacing, a length and a width above 0")
+    for name in ("sun", "landmarks_per_m", "exposure_change", "windows", "rough"):
         if not getattr(config, name) >= 0:
             raise ValueError(f"{name} is {getattr(config, name)}: needs a value of 0 or more")
     x_m = cameras.position(config.camera, calibration)[0]
@@ -144,7 +156,11 @@ def lights(config: CorridorConfig, rng: np.random.Generator) -> Light:
         sun,
         np.cumsum(np.append(0.0, rng.uniform(0.4, 2.4, passes - 1))),
     )
-    return Light(*(jnp.asarray(column, jnp.float32) for column in columns))
+    light = Light(*(jnp.asarray(column, jnp.float32) for column in columns))
+    if not config.mirror:
+        return light
+    same = (jnp.full(passes, value, jnp.float32) for value in (config.mirror, config.windows, config.rough))
+    return dataclasses.replace(light, mirror=Mirror(*same))
 
 
 # Two programs: in one, XLA casts the rays again for the noise.
@@ -279,7 +295,7 @@ def record(
     exposing = ThreadPoolExecutor(1).submit(_compile_exposing, camera, config.sensor)  # beside the floor's programs
     walks = passers.plan_walks(poses, config.robot.frame_s, config.plan.width_m / 2, config.passers, rng)
     floor = floors_of(plan, config.floor, key=floor_key, photographs=photographs)
-    scene = make_scene(plan, floor(0), config.plan.door_spacing_m, furniture, paints, ramp)
+    scene = make_scene(plan, floor(0), config.plan.door_spacing_m, furniture, paints, ramp, config.lamp_m)
 
     def frame(i: int) -> Frame:
         light = jax.tree.map(lambda leaf: leaf[int(passes[i])], of_pass)

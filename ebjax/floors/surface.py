@@ -16,8 +16,10 @@ from jaxtyping import Array, Float, Int, Key
 
 from ebjax.floors.lattice import entry
 
-FamilyName = Literal["glazed", "marble", "terrazzo", "slabs", "concrete", "wood", "carpet", "photograph"]
+FamilyName = Literal["glazed", "marble", "terrazzo", "slabs", "concrete", "wood", "carpet", "porcelain", "photograph"]
 FAMILIES = {name: f"ebjax.floors.{name}:FAMILY" for name in get_args(FamilyName)}
+LEARNED: tuple[FamilyName, ...] = ("glazed", "marble", "terrazzo", "slabs", "concrete", "wood", "carpet")
+"""Those that floornet has learned from; the others are for tests of it."""
 SIDE = 128
 """Of the table of what elements draw, elements."""
 

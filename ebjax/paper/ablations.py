@@ -15,7 +15,7 @@ import numpy as np
 
 from ebjax.evaluation.run import spread_rows
 from ebjax.floors.robot import RobotConfig
-from ebjax.floors.surface import FAMILIES, FloorConfig
+from ebjax.floors.surface import LEARNED, FloorConfig
 from ebjax.paper.drift import ODOMETRY, OURS, ate_rmse_m, measure
 from ebjax.paper.experiment import Experiment
 from ebjax.paper.retrieval import TURNED
@@ -95,8 +95,7 @@ class Ablations:
     def pattern(self) -> Points:
         """Family of the floor, and how many distinct glazed tiles repeat; without wear, but for the families."""
         seed, scale = self.experiment.seed, self.scale
-        families = [name for name in FAMILIES if name != "photograph"]
-        worn = {name: self.world(f"family_{name}", base_world(scale, seed, family=name)) for name in families}
+        worn = {name: self.world(f"family_{name}", base_world(scale, seed, family=name)) for name in LEARNED}
         designs = {
             f"{count} designs": self.world(f"designs_{count}", base_world(scale, seed, designs=count, disorder=0.0))
             for count in scale.designs

@@ -13,16 +13,15 @@ from ebjax.floors.laying import floor_of
 from ebjax.floors.robot import RobotConfig
 from ebjax.floors.sensor import GAMMA
 from ebjax.floors.sequence import CorridorConfig, plan_of
-from ebjax.floors.surface import FAMILIES, FloorConfig
+from ebjax.floors.surface import LEARNED, FloorConfig
 
 LENGTH_M, EACH = 3.0, 2
 SIZE_PX = (768, 1024)
 
 
 def strips(seed: int) -> dict[str, UInt8[np.ndarray, "_ _ 3"]]:
-    """EACH floors of every family, LENGTH_M long, of SIZE_PX."""
-    families = [name for name in FAMILIES if name != "photograph"]
-    return {f"{name} {k + 1}": strip(FloorConfig(family=name), seed + k) for name in families for k in range(EACH)}
+    """EACH floors of every family that floornet has learned, LENGTH_M long, of SIZE_PX."""
+    return {f"{name} {k + 1}": strip(FloorConfig(family=name), seed + k) for name in LEARNED for k in range(EACH)}
 
 
 def strip(floor: FloorConfig, seed: int) -> UInt8[np.ndarray, "_ _ 3"]:

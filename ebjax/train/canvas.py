@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, Key
 
 from ebjax.command import progress
 from ebjax.floors.noise import fractal_noise
+from ebjax.floors.surface import LEARNED as NAMES
 from ebjax.floors.surface import FamilyName, Material, family
 from ebjax.floors.wear import paint, scatter
 from ebjax.io.atomic import whole_file
@@ -28,7 +29,6 @@ WEAR_PER_M2 = (0.3, 10.0)
 DIRT, STRENGTH = (0.2, 2.0), (0.3, 1.0)
 """Of grime and of marks."""
 MARKS_A_CALL = 64
-NAMES: tuple[FamilyName, ...] = ("glazed", "marble", "terrazzo", "slabs", "concrete", "wood", "carpet")
 
 
 @partial(jax.jit, static_argnames=("name", "designs"))

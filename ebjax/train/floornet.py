@@ -33,7 +33,7 @@ from ebjax.train.losses import (
     local_loss,
     without_common,
 )
-from ebjax.train.views import Pairs, sample_pairs
+from ebjax.train.views import Pairs, Wild, sample_pairs
 
 WEIGHTS = "floornet.safetensors"
 SEEN_SHARE = 0.8
@@ -78,6 +78,7 @@ class Config:
     """Of each canvas in a step, at most 9."""
     side_px: int = 160
     """Of a view, a multiple of 8."""
+    wild: Wild = dataclasses.field(default_factory=Wild)
     rate: float = 2e-3
     """Largest learning rate of AdamW; it rises over `warmup` steps and falls along a cosine."""
     warmup: int = 30
@@ -109,6 +110,9 @@ def check(config: Config) -> None:
         raise ValueError(
             f"canvases is {config.canvases}: needs at least {max(config.floors, len(NAMES))} over held_out"
         )
+    for name in ("mirrors", "rest"):
+        if not 0 <= getattr(config.wild, name) <= 1:
+            raise ValueError(f"wild.{name} is {getattr(config.wild, name)}: needs a share from 0 to 1")
     if not config.rate > 0:
         raise ValueError(f"rate is {config.rate}: needs a value above 0")
 
@@ -186,7 +190,7 @@ def _optimiser(config: Config) -> optax.GradientTransformation:
 @partial(jax.jit, static_argnames=("graph", "config"), donate_argnums=0)
 def _step(state: dict[str, Any], canvases: Float[Array, "C h w 3"], graph: Any, config: Config, *, key: Key[Array, ""]):
     view_key, point_key = jax.random.split(key)
-    pairs = jax.lax.stop_gradient(sample_pairs(canvases, config.places, config.side_px, key=view_key))
+    pairs = jax.lax.stop_gradient(sample_pairs(canvases, config.places, config.side_px, config.wild, key=view_key))
 
     def loss(params, rest):
         network = nnx.merge(graph, params, rest, copy=True)
@@ -205,7 +209,7 @@ def _validate(
     state: dict[str, Any], canvases: Float[Array, "C h w 3"], graph: Any, config: Config, *, key: Key[Array, ""]
 ):
     view_key, point_key = jax.random.split(key)
-    pairs = sample_pairs(canvases, config.places, config.side_px, key=view_key)
+    pairs = sample_pairs(canvases, config.places, config.side_px, config.wild, key=view_key)
     network = nnx.merge(graph, state["params"], state["rest"])
     return objective(network, pairs, *_parts(config), key=point_key, training=False)[1]
 

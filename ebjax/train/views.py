@@ -2,6 +2,7 @@
 
 Both are kept in the orientation of the first (the network is equivariant, R_pi adds nothing): the second is the floor
 as seen by a robot that faces the other way, in its own light, with its far side where the first one has its near side.
+All views of a floor are taken in one room, which a polished floor mirrors (`mirror`), and of one contrast.
 """
 
 import dataclasses
@@ -12,7 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
+from ebjax.geometry.pytree import pytree
 from ebjax.geometry.warp import sample_bilinear
+from ebjax.train.mirror import Room, draw_room, mirrored
 from ebjax.train.processes import map_rows
 
 PITCH_PX = 166
@@ -27,7 +30,30 @@ GAMMA, GAIN = (0.5, 1.8), (0.6, 1.5)
 SHADOW, SHADOW_EDGE_PX = (0.25, 0.9), (0.5, 20.0)
 GLARE, GLARE_SIDE = (0.1, 1.2), (0.04, 0.25)
 BLUR_PX, FAR_BLUR_PX = (0.2, 2.2), (0.3, 3.0)
-NOISE = (0.002, 0.03)
+NOISE, ROW_NOISE = (0.002, 0.03), (0.0003, 0.006)
+"""Of pixels and of whole rows, as those of a rolling shutter under lamps."""
+PIXEL_M = 0.01
+FOOT_M, HEIGHT_M = (0.2, 0.9), (0.25, 1.3)
+"""From the camera's foot to the near edge; of the camera."""
+PALE = 0.4
+"""Share of floors whose pattern is fainter than it was painted, down to CONTRAST."""
+CONTRAST = 0.15
+PATCH_SHARE, HIDDEN_SHARE, JPEG_SHARE = 0.3, 0.2, 0.6
+"""Of views with a wet or dusty area, with one that was painted over, and of such as were kept as JPEG."""
+JPEG_STEP = (0.2, 1.2)
+"""Times JPEG_TABLE: qualities of about 90 to 40."""
+JPEG_TABLE = 16.0 + 12.0 * np.add.outer(np.arange(8), np.arange(8))
+"""Rises as the table of ITU-T T.81, annex K, does: steps of 16 to 184 of 255."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Wild:
+    """How often the views are as hard as real floors; 0 is none of it."""
+
+    mirrors: float = 0.0
+    """Share of floors that mirror the room."""
+    rest: float = 0.0
+    """Share, of the shares that are set, of pale floors, wet, dusty and painted over areas, JPEG and noise of rows."""
 
 
 @jax.tree_util.register_dataclass
@@ -81,18 +107,92 @@ def _blur_matrix(side: int, sigma: Float[Array, ""]) -> Float[Array, "S S"]:
     return kernel / kernel.sum(1, keepdims=True)
 
 
+@pytree
+class Floor:
+    """What all views of a canvas share."""
+
+    room: Room
+    contrast: Float[Array, ""]
+
+
+def _draw_floor(wild: Wild, *, key: Key[Array, ""]) -> Floor:
+    room_key, share_key, contrast_key = jax.random.split(key, 3)
+    pale = _uniform(share_key, (0.0, 1.0)) < wild.rest * PALE
+    faint = jnp.exp(_uniform(contrast_key, (float(np.log(CONTRAST)), 0.0)))
+    return Floor(draw_room(wild.mirrors, key=room_key), jnp.where(pale, faint, 1))
+
+
+def _reflection(room: Room, side: int, *, key: Key[Array, ""]) -> Float[Array, "S S"]:
+    """What the floor mirrors, its near edge in the last row."""
+    foot, aside, height, heading, along = jax.random.uniform(key, (5,), jnp.float32)
+    ticks = (jnp.arange(side, dtype=jnp.float32) + 0.5) * PIXEL_M
+    ahead = FOOT_M[0] + (FOOT_M[1] - FOOT_M[0]) * foot + ticks[::-1]
+    right = ticks - side * PIXEL_M / 2 + 0.6 * (aside - 0.5)
+    x, y = jnp.meshgrid(right, ahead)
+    height_m = HEIGHT_M[0] + (HEIGHT_M[1] - HEIGHT_M[0]) * height
+    return mirrored(room, (x, y), height_m, 0.5 * (heading - 0.5), 12 * along)
+
+
+def _patched(linear: Float[Array, "S S"], share: float, *, key: Key[Array, ""]) -> Float[Array, "S S"]:
+    """Wet areas, dark, or dusty ones, paler and fainter, with soft ragged edges."""
+    draw = jax.random.uniform(key, (15,), jnp.float32)
+    ticks = (jnp.arange(len(linear), dtype=jnp.float32) + 0.5) / len(linear) - 0.5
+    frequency, phase = 14 * (draw[:8].reshape(2, 4) - 0.5), 2 * jnp.pi * draw[8:12]
+    down, across = (2 * jnp.pi * jnp.outer(one, ticks) for one in frequency)
+    waves = down[:, :, None] + across[:, None, :] + phase[:, None, None]
+    area = jax.nn.sigmoid((jnp.cos(waves).mean(0) - 0.25) / (0.02 + 0.2 * draw[12]))
+    mean = linear.mean()
+    changed = jnp.where(draw[13] < 0.5, linear * 0.6, 0.7 * linear + 0.3 * 1.2 * mean)
+    return jnp.where(draw[14] < share, linear + area * (changed - linear), linear)
+
+
+def _painted_over(value: Float[Array, "S S"], share: float, *, key: Key[Array, ""]) -> Float[Array, "S S"]:
+    """A rectangle of one tone, where something stood."""
+    draw = jax.random.uniform(key, (6,), jnp.float32)
+    ticks = (jnp.arange(len(value), dtype=jnp.float32) + 0.5) / len(value)
+    inside = [jnp.abs(ticks - draw[k]) < 0.05 + 0.15 * draw[2 + k] for k in (0, 1)]
+    inside = (inside[0][:, None] & inside[1][None, :]) & (draw[4] < share)
+    tone = value.mean() * (0.7 + 0.6 * draw[5])
+    return jnp.where(inside, tone, value)
+
+
+def _as_jpeg(value: Float[Array, "S S"], share: float, *, key: Key[Array, ""]) -> Float[Array, "S S"]:
+    """Rounds the cosine transform of blocks of 8 pixels."""
+    draw = jax.random.uniform(key, (2,), jnp.float32)
+    k = np.arange(8)
+    cosines = np.cos(np.pi * np.outer(k, 2 * k + 1) / 16) * np.where(k == 0, 0.125, 0.25)[:, None] ** 0.5
+    basis = jnp.asarray(cosines, jnp.float32)
+    cells = len(value) // 8
+    blocks = value.reshape(cells, 8, cells, 8)
+    step = jnp.asarray(JPEG_TABLE / 255, jnp.float32) * jnp.exp(
+        float(np.log(JPEG_STEP[0])) + float(np.log(JPEG_STEP[1] / JPEG_STEP[0])) * draw[0]
+    )
+    found = jnp.einsum("ku,aubv,lv->akbl", basis, blocks, basis)
+    kept = jnp.round(found / step[None, :, None, :]) * step[None, :, None, :]
+    back = jnp.einsum("ku,akbl,lv->aubv", basis, kept, basis).reshape(value.shape)
+    return jnp.where(draw[1] < share, back, value)
+
+
 def _photograph(
-    linear: Float[Array, "S S"], nearness: Float[Array, " S"], *, key: Key[Array, ""]
+    linear: Float[Array, "S S"],
+    nearness: Float[Array, " S"],
+    reflection: Float[Array, "S S"],
+    wild: Wild,
+    *,
+    key: Key[Array, ""],
 ) -> Float[Array, "S S"]:
     """Light, lens and sensor: shadow, glare, blur that grows with distance, exposure, gamma, noise, eight bits.
 
     Args:
       linear: reflectance.
       nearness: of each row, 1 at the robot's feet, 0 at the far end.
+      reflection: radiance that the floor mirrors.
+      wild: how often there is what real floors have.
       key: of everything random.
     """
     side = len(nearness)
     keys = iter(jax.random.split(key, 20))
+    wild_keys = iter(jax.random.split(jax.random.fold_in(key, 1), 4))
     ticks = (jnp.arange(side, dtype=jnp.float32) + 0.5) / side - 0.5
     y, x = ticks[:, None], ticks[None, :]
 
@@ -107,8 +207,10 @@ def _photograph(
     spot, size = _around(next(keys), 0.5, (2,)), _uniform(next(keys), GLARE_SIDE, (2,))
     glare = jnp.exp(-(((x - spot[0]) / size[0]) ** 2) / 2 - ((y - spot[1]) / (2 * size[1])) ** 2 / 2)
     shine = jnp.where(_uniform(next(keys), (0.0, 1.0)) < 0.5, _uniform(next(keys), GLARE), 0)
-    value = linear * light * _uniform(next(keys), GAIN) / jnp.maximum(jnp.mean(linear), 0.02) * 0.35
-    value = value + shine * glare
+    gain = _uniform(next(keys), GAIN)
+    value = linear * light * gain / jnp.maximum(jnp.mean(linear), 0.02) * 0.35
+    value = value + shine * glare + gain * reflection
+    value = _painted_over(value, wild.rest * HIDDEN_SHARE, key=next(wild_keys))
 
     def blurred(values, sigma):
         return _blur_matrix(side, sigma[0]) @ values @ _blur_matrix(side, sigma[1]).T
@@ -119,11 +221,15 @@ def _photograph(
     value = jnp.clip(value, 0, 1) ** (_uniform(next(keys), GAMMA) / 2)
     noise = jnp.exp(_uniform(next(keys), tuple(np.log(NOISE))))
     value = value + noise * jax.random.normal(next(keys), value.shape, value.dtype)
+    rows = jnp.exp(_uniform(next(wild_keys), tuple(np.log(ROW_NOISE)))) * (wild.rest > 0)
+    value = value + rows * jax.random.normal(next(wild_keys), (side, 1), value.dtype)
+    value = _as_jpeg(jnp.clip(value, 0, 1), wild.rest * JPEG_SHARE, key=next(wild_keys))
     return jnp.round(255 * jnp.clip(value, 0, 1)) / 255
 
 
-def _pair(canvas, centre, zoom, side, *, key):
+def _pair(canvas, centre, zoom, side, floor, wild, *, key):
     keys = iter(jax.random.split(key, 12))
+    wild_keys = iter(jax.random.split(jax.random.fold_in(key, 1), 4))
     first = _homography(centre, zoom, _around(next(keys), OWN_TURN_DEG), _around(next(keys), OWN_TILT, (2,)), side)
     moved = centre + zoom * side * _around(next(keys), SHIFT, (2,))
     scale = zoom * (1 + _around(next(keys), SCALE))
@@ -137,20 +243,26 @@ def _pair(canvas, centre, zoom, side, *, key):
         at = jnp.clip(at[:, :2] / at[:, 2:], 0, canvas.shape[0] - 1.0)
         found = sample_bilinear(canvas, at).reshape(side, side, 3)
         elevation = _uniform(next(keys), ELEVATION)
-        linear = jnp.maximum(found[..., 0] - sign * elevation * found[..., 2], 0.005)
-        return _photograph(linear, nearness if sign > 0 else nearness[::-1], key=next(keys))
+        linear = found[..., 0] - sign * elevation * found[..., 2]
+        linear = jnp.maximum(linear + (floor.contrast - 1) * (linear - linear.mean()), 0.005)
+        linear = _patched(linear, wild.rest * PATCH_SHARE, key=next(wild_keys))
+        reflection = _reflection(floor.room, side, key=next(wild_keys))[::sign, ::sign]
+        return _photograph(linear, nearness[::sign], reflection, wild, key=next(keys))
 
     return seen(first, 1), seen(second, -1), jnp.linalg.inv(second) @ first
 
 
-@partial(jax.jit, static_argnames=("places", "side"))
-def sample_pairs(canvases: Float[Array, "C h w 3"], places: int, side: int, *, key: Key[Array, ""]) -> Pairs:
+@partial(jax.jit, static_argnames=("places", "side", "wild"))
+def sample_pairs(
+    canvases: Float[Array, "C h w 3"], places: int, side: int, wild: Wild = Wild(), *, key: Key[Array, ""]
+) -> Pairs:
     """Views of `side` px of random places on each canvas, canvas by canvas.
 
     Args:
       canvases: from `make_canvas`; a view's pixel is about one of theirs.
       places: of each canvas, at most 9.
       side: of the views.
+      wild: how often they are as real floors are.
       key: of everything random.
     """
     field_key, key = jax.random.split(key)
@@ -164,8 +276,9 @@ def sample_pairs(canvases: Float[Array, "C h w 3"], places: int, side: int, *, k
         centres = jax.random.permutation(order_key, grid)[:places]
         zoom = _uniform(zoom_key, ZOOM)
         keys = jax.random.split(pair_key, places)
+        floor = _draw_floor(wild, key=jax.random.fold_in(key, 1))
         return jax.lax.map(
-            lambda one: _pair(canvas.astype(jnp.float32), one[0], zoom, side, key=one[1]), (centres, keys)
+            lambda one: _pair(canvas.astype(jnp.float32), one[0], zoom, side, floor, wild, key=one[1]), (centres, keys)
         )
 
     made = map_rows(of_canvas, (canvases, jax.random.split(key, len(canvases))))
