@@ -34,6 +34,8 @@ MARGIN_PX = 8
 """Keypoints so close to what is not seen describe the border of the field of view."""
 ALIKE_THRESHOLD = 0.01
 """Floors are faint: the published 0.2 leaves a dozen keypoints on polished stone; the strongest COUNT are kept."""
+ALIKED_THRESHOLD = 0.0
+"""Its scores on stone and ceramic are lower still: the strongest COUNT are kept, whatever they are."""
 XFEAT_THRESHOLD = 0.005
 """Likewise, below the published 0.05."""
 CONVENTIONS = {"superpoint": "superglue", "superpoint-v6": "v6"}
@@ -65,7 +67,7 @@ def alike(weights: Path | None, arithmetic: Arithmetic) -> Extractor:
 def aliked(weights: Path | None, arithmetic: Arithmetic) -> Extractor:
     """ALIKED, whichever variant the file holds; 64 to 128 numbers a keypoint."""
     path, _, network = open_network("aliked", weights, arithmetic)
-    return _extractor(path, network, partial(ebjax.models.aliked.detect, count=COUNT, threshold=ALIKE_THRESHOLD))
+    return _extractor(path, network, partial(ebjax.models.aliked.detect, count=COUNT, threshold=ALIKED_THRESHOLD))
 
 
 def xfeat(weights: Path | None, arithmetic: Arithmetic) -> Extractor:

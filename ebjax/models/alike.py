@@ -11,7 +11,7 @@ nothing is found then), and without sub-pixel places it reads 10 to 48 % of the 
 rounding to [-1, 1] and back (here never).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -21,15 +21,14 @@ import numpy as np
 from flax import nnx
 from jaxtyping import Array, Float
 
-from ebjax.geometry.warp import sample_bilinear
-from ebjax.models.detect import Detections, inside, read_descriptors, soft_argmax, strongest, suppress_twice
+from ebjax.models.checkpoint import Take, taking
+from ebjax.models.detect import Detections, read_descriptors
+from ebjax.models.dkd import RADIUS, find_keypoints
 from ebjax.models.layers import Precision, conv, max_pool, normalise, relu
 from ebjax.models.resize import resize
 from ebjax.models.weights import folded_norm, kernel_from_torch
 
 CELL = 32
-RADIUS = 2
-TEMPERATURE = 0.1
 EPSILON = 1e-5
 VARIANTS = {
     "alike-t": ((8, 16, 32, 64), 64, False),
@@ -140,14 +139,14 @@ def detect_maps(
 ) -> Detections:
     """`detect`, from the maps of one image."""
     # The published code leaves out one row and one column more at the top and left.
-    found = suppress_twice(scores, RADIUS) & inside(scores.shape, RADIUS + 1, (RADIUS, RADIUS)) & (scores > threshold)
-    pixels, valid = strongest(scores, found, count)
-    keypoints = soft_argmax(scores, pixels, RADIUS, TEMPERATURE) if sub_pixel else pixels.astype(scores.dtype)
+    keypoints, best, valid = find_keypoints(
+        scores, count=count, threshold=threshold, border=RADIUS + 1, sub_pixel=sub_pixel
+    )
     return Detections(
         keypoints=keypoints,
-        scores=sample_bilinear(scores[..., None], keypoints)[:, 0],
+        scores=best,
         descriptors=read_descriptors(descriptors, keypoints),
-        scale=jnp.ones_like(scores, shape=len(pixels)),
+        scale=jnp.ones_like(scores, shape=len(keypoints)),
         valid=valid,
     )
 
@@ -174,28 +173,27 @@ def convert(state: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     Raises:
       ValueError: a key is missing, or is not one of them.
     """
-    rest = {key: np.asarray(array) for key, array in state.items() if not key.endswith("num_batches_tracked")}
+    with taking(state) as take:
+        found = convert_blocks(take)
+        if "convhead1.weight" in state:
+            found["head1.kernel"] = kernel_from_torch(take("convhead1.weight"))
+        found["head2.kernel"] = kernel_from_torch(take("convhead2.weight"))
+    return found
 
-    def take(key: str) -> np.ndarray:
-        if key not in rest:
-            raise ValueError(f"key {key!r} is missing in the checkpoint")
-        return rest.pop(key)
 
+def convert_blocks(take: Take, deformed: Collection[int] = ()) -> dict[str, np.ndarray]:
+    """The four blocks and what is gathered of them, which ALIKED has as well; `deformed` are its deformable blocks."""
     found = {}
     for n in range(1, 5):
         found[f"gather{n}.kernel"] = kernel_from_torch(take(f"conv{n}.weight"))
         for k in (1, 2):
-            kernel = kernel_from_torch(take(f"block{n}.conv{k}.weight"))
+            name = f"block{n}.conv{k}"
+            kernel = kernel_from_torch(take(f"{name}.regular_conv.weight" if n in deformed else f"{name}.weight"))
             scale, shift, mean, var = (
                 take(f"block{n}.bn{k}.{part}") for part in ("weight", "bias", "running_mean", "running_var")
             )
-            found |= folded_norm(f"block{n}.conv{k}", kernel, mean, var, EPSILON, scale, shift)
+            found |= folded_norm(name, kernel, mean, var, EPSILON, scale, shift)
         if n > 1:
             found[f"block{n}.projection.kernel"] = kernel_from_torch(take(f"block{n}.downsample.weight"))
             found[f"block{n}.projection.bias"] = take(f"block{n}.downsample.bias")
-    if "convhead1.weight" in rest:
-        found["head1.kernel"] = kernel_from_torch(take("convhead1.weight"))
-    found["head2.kernel"] = kernel_from_torch(take("convhead2.weight"))
-    if rest:
-        raise ValueError(f"unexpected key {next(iter(rest))!r} in the checkpoint")
     return found

@@ -10,26 +10,25 @@ nothing is found then).
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import nnx
 from jaxtyping import Array, Float
 
 from ebjax.geometry.warp import sample_bilinear
+from ebjax.models.alike import convert_blocks
+from ebjax.models.checkpoint import taking
 from ebjax.models.deform import DeformConv
-from ebjax.models.detect import Detections, inside, soft_argmax, strongest, suppress_twice
+from ebjax.models.detect import Detections
+from ebjax.models.dkd import find_keypoints
 from ebjax.models.layers import Precision, avg_pool, conv, normalise
 from ebjax.models.resize import resize
-from ebjax.models.weights import folded_norm, kernel_from_torch
+from ebjax.models.weights import kernel_from_torch
 
 CELL = 32
-RADIUS, PATCH = 2, 3
-TEMPERATURE = 0.1
-EPSILON = 1e-5
+PATCH = 3
 VARIANTS = {
     "aliked-t16": ((8, 16, 32, 64), 64, 16),
     "aliked-n16": ((16, 32, 64, 128), 128, 16),
@@ -157,22 +156,14 @@ def detect(
       threshold: lowest score, before the sub-pixel step.
     """
     scores, features = network(image[None])
-    keypoints, valid = find(scores[0], count=count, threshold=threshold)
+    keypoints, best, valid = find_keypoints(scores[0], count=count, threshold=threshold)
     return Detections(
         keypoints=keypoints,
-        scores=sample_bilinear(scores[0][..., None], keypoints)[:, 0],
+        scores=best,
         descriptors=network.describe(features[0], keypoints),
         scale=jnp.ones_like(scores, shape=len(keypoints)),
         valid=valid,
     )
-
-
-@partial(jax.jit, static_argnames="count")
-def find(scores: Float[Array, "H W"], *, count: int, threshold: float | Float[Array, ""]) -> tuple[Array, Array]:
-    """Places (x, y) px of the strongest scores to a fraction of a pixel, and which rows are such places."""
-    found = suppress_twice(scores, RADIUS) & inside(scores.shape, RADIUS, (RADIUS, RADIUS)) & (scores > threshold)
-    pixels, valid = strongest(scores, found, count)
-    return soft_argmax(scores, pixels, RADIUS, TEMPERATURE), valid
 
 
 def aliked(arrays: Mapping[str, np.ndarray] | None = None, *, rngs: nnx.Rngs) -> ALIKED:
@@ -198,35 +189,16 @@ def convert(state: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     Raises:
       ValueError: a key is missing, or is not one of them.
     """
-    rest = {key: np.asarray(array) for key, array in state.items() if not key.endswith("num_batches_tracked")}
-
-    def take(key: str) -> np.ndarray:
-        if key not in rest:
-            raise ValueError(f"key {key!r} is missing in the checkpoint")
-        return rest.pop(key)
-
-    found = {"merge": take("desc_head.agg_weights"), "read.kernel": kernel_from_torch(take("desc_head.sf_conv.weight"))}
-    for n in range(1, 5):
-        found[f"gather{n}.kernel"] = kernel_from_torch(take(f"conv{n}.weight"))
-        for k in (1, 2):
-            name, published = f"block{n}.conv{k}", f"block{n}.conv{k}"
-            if n in DEFORMED:
-                found[f"{name}.offset.kernel"] = kernel_from_torch(take(f"{name}.offset_conv.weight"))
-                found[f"{name}.offset.bias"] = take(f"{name}.offset_conv.bias")
-                published += ".regular_conv"
-            kernel = kernel_from_torch(take(f"{published}.weight"))
-            scale, shift, mean, var = (
-                take(f"block{n}.bn{k}.{part}") for part in ("weight", "bias", "running_mean", "running_var")
-            )
-            found |= folded_norm(name, kernel, mean, var, EPSILON, scale, shift)
-        if n > 1:
-            found[f"block{n}.projection.kernel"] = kernel_from_torch(take(f"block{n}.downsample.weight"))
-            found[f"block{n}.projection.bias"] = take(f"block{n}.downsample.bias")
-    for n in range(len(SCORE)):
-        found[f"score{n + 1}.kernel"] = kernel_from_torch(take(f"score_head.{2 * n}.weight"))
-    for n in (1, 2):
-        found[f"offset{n}.kernel"] = kernel_from_torch(take(f"desc_head.offset_conv.{2 * n - 2}.weight"))
-        found[f"offset{n}.bias"] = take(f"desc_head.offset_conv.{2 * n - 2}.bias")
-    if rest:
-        raise ValueError(f"unexpected key {next(iter(rest))!r} in the checkpoint")
+    with taking(state) as take:
+        found = convert_blocks(take, DEFORMED)
+        for name in (f"block{n}.conv{k}" for n in DEFORMED for k in (1, 2)):
+            found[f"{name}.offset.kernel"] = kernel_from_torch(take(f"{name}.offset_conv.weight"))
+            found[f"{name}.offset.bias"] = take(f"{name}.offset_conv.bias")
+        for n in range(len(SCORE)):
+            found[f"score{n + 1}.kernel"] = kernel_from_torch(take(f"score_head.{2 * n}.weight"))
+        for n in (1, 2):
+            found[f"offset{n}.kernel"] = kernel_from_torch(take(f"desc_head.offset_conv.{2 * n - 2}.weight"))
+            found[f"offset{n}.bias"] = take(f"desc_head.offset_conv.{2 * n - 2}.bias")
+        found["read.kernel"] = kernel_from_torch(take("desc_head.sf_conv.weight"))
+        found["merge"] = take("desc_head.agg_weights")
     return found

@@ -1,8 +1,11 @@
 """Reads published checkpoints, whatever their format, into published keys and arrays; nothing of them is executed.
 
-torch (.pth, .pt, .pth.tar: the names do not matter, the first bytes do), MATLAB (.mat) and safetensors.
+torch (.pth, .pt, .pth.tar: the names do not matter, the first bytes do), MATLAB (.mat) and safetensors. `taking` gives
+the keys to a network's `convert`, which has to take every one.
 """
 
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +16,8 @@ from ebjax.models.pickled import Tensor, read_torch
 from ebjax.models.weights import in_short
 
 WRAPPERS = ("state_dict", "model")  # where training scripts put the weights beside their own state
+Take = Callable[[str], np.ndarray]
+"""Gives the array of a published key; ValueError where there is none."""
 
 
 def read_checkpoint(path: str | Path) -> dict[str, np.ndarray]:
@@ -40,6 +45,31 @@ def read_checkpoint(path: str | Path) -> dict[str, np.ndarray]:
     except Exception as error:  # a damaged file can raise anything
         missing = "misses " * isinstance(error, KeyError)
         raise ValueError(f"{path}: not a whole checkpoint ({missing}{in_short(error)})") from None
+
+
+@contextmanager
+def taking(state: Mapping[str, np.ndarray], unused: str | None = None) -> Iterator[Take]:
+    """Gives a function that takes the array of a key; at the end every key must have been taken.
+
+    Args:
+      state: published keys and arrays; `num_batches_tracked` of batch normalisation need not be taken.
+      unused: keys that begin so need not be taken either.
+
+    Raises:
+      ValueError: a key is missing, or is left over.
+    """
+    rest = {key: np.asarray(array) for key, array in state.items() if not key.endswith("num_batches_tracked")}
+    if unused is not None:
+        rest = {key: array for key, array in rest.items() if not key.startswith(unused)}
+
+    def take(key: str) -> np.ndarray:
+        if key not in rest:
+            raise ValueError(f"key {key!r} is missing in the checkpoint")
+        return rest.pop(key)
+
+    yield take
+    if rest:
+        raise ValueError(f"unexpected key {next(iter(rest))!r} in the checkpoint")
 
 
 def _tensors(path: Path) -> dict[str, np.ndarray]:

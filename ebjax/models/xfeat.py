@@ -22,6 +22,7 @@ from flax import nnx
 from jaxtyping import Array, Float
 
 from ebjax.geometry.warp import sample_bilinear
+from ebjax.models.checkpoint import taking
 from ebjax.models.detect import Detections, strongest, window_max
 from ebjax.models.layers import Precision, avg_pool, conv, normalise, relu
 from ebjax.models.weights import folded_norm, kernel_from_torch
@@ -212,26 +213,14 @@ def convert(state: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     Raises:
       ValueError: a key is missing, or is not one of them.
     """
-    rest = {
-        key: np.asarray(array)
-        for key, array in state.items()
-        if not key.endswith("num_batches_tracked") and not key.startswith("fine_matcher.")
-    }
-
-    def take(key: str) -> np.ndarray:
-        if key not in rest:
-            raise ValueError(f"key {key!r} is missing in the checkpoint")
-        return rest.pop(key)
-
-    found = {"skip.kernel": kernel_from_torch(take("skip1.1.weight")), "skip.bias": take("skip1.1.bias")}
-    for name, (_, layers) in STAGES.items():
-        for n in range(len(layers)):
-            kernel = kernel_from_torch(take(f"{name}.{n}.layer.0.weight"))
-            mean, variance = (take(f"{name}.{n}.layer.1.running_{part}") for part in ("mean", "var"))
-            found |= folded_norm(f"{name}.conv{n}", kernel, mean, variance, EPSILON)
-        if name in LAST:
-            found[f"{name}.last.kernel"] = kernel_from_torch(take(f"{name}.{len(layers)}.weight"))
-            found[f"{name}.last.bias"] = take(f"{name}.{len(layers)}.bias")
-    if rest:
-        raise ValueError(f"unexpected key {next(iter(rest))!r} in the checkpoint")
+    with taking(state, "fine_matcher.") as take:
+        found = {"skip.kernel": kernel_from_torch(take("skip1.1.weight")), "skip.bias": take("skip1.1.bias")}
+        for name, (_, layers) in STAGES.items():
+            for n in range(len(layers)):
+                kernel = kernel_from_torch(take(f"{name}.{n}.layer.0.weight"))
+                mean, variance = (take(f"{name}.{n}.layer.1.running_{part}") for part in ("mean", "var"))
+                found |= folded_norm(f"{name}.conv{n}", kernel, mean, variance, EPSILON)
+            if name in LAST:
+                found[f"{name}.last.kernel"] = kernel_from_torch(take(f"{name}.{len(layers)}.weight"))
+                found[f"{name}.last.bias"] = take(f"{name}.{len(layers)}.bias")
     return found

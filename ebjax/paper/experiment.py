@@ -136,15 +136,18 @@ class Experiment:
                             self.add("table 2", label, name, cell[ranking])
 
     def correspondences(self, names: tuple[str, ...], real: Path | None) -> None:
-        """Table 3: on pairs cut from the sets, and on real ones where a folder of them is given."""
+        """Table 3: on pairs cut from the sets, and on real ones where a folder of them is given.
+
+        A motion is right as in `ebjax.features.table`: within twice what the truth is known to, or else 3 px.
+        """
+        files = [] if real is None else read_pairs(real)
         found, absent = usable(list(EXTRACTORS), self.weights)
         self.left_out |= {which: page.reason(why) for which, why in absent.items()}
 
         @lru_cache(maxsize=1)
         def pairs(name: str) -> list[Pair]:
             if name == REAL:
-                assert real is not None
-                return [Pair(f.name, *read_both(f.a, f.b), f.quad, f.b_from_a) for f in read_pairs(real)]
+                return [Pair(f.name, *read_both(f.a, f.b), f.quad, f.b_from_a, f.truth_px) for f in files]
             return cut_pairs(self.run(name), name, self.pair_count)
 
         def measure(name: str, which: str) -> dict[str, Any]:
@@ -154,6 +157,7 @@ class Experiment:
             for which in found:
                 settings = self.settings(None if name == REAL else name, extractor=which, pairs=self.pair_count)
                 settings |= weighed(found[which].weights)
+                settings |= {"truth_px": {f.name: f.truth_px for f in files}} if name == REAL else {}
                 cell = self.cells.values(
                     f"pairs {name} {which}",
                     settings,

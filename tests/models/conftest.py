@@ -1,4 +1,4 @@
-"""Checkpoints written as torch does, in both of its formats, without torch."""
+"""Checkpoints: of random arrays under published keys, and written as torch does, in both of its formats, without it."""
 
 import pickle
 import struct
@@ -7,10 +7,65 @@ import types
 import zipfile
 from collections import OrderedDict
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
+NORM = {"weight": (0.6, 1.4), "bias": (-0.2, 0.2), "running_mean": (-0.2, 0.2), "running_var": (0.5, 1.5)}
 STORAGES = {"float32": "FloatStorage", "float64": "DoubleStorage", "float16": "HalfStorage", "int64": "LongStorage"}
+
+
+class RandomCheckpoint:
+    """Random float32 arrays by key, in `state`; a filter's variance is gain / fan-in."""
+
+    def __init__(self, gain: float = 2.0):
+        self.random, self.gain = np.random.default_rng(0), gain
+        self.state: dict[str, np.ndarray] = {}
+
+    def weight(self, key: str, *shape: int, gain: float | None = None) -> None:
+        """A convolution's filters: out, in, height, width."""
+        spread = ((gain or self.gain) / np.prod(shape[1:])) ** 0.5
+        self.state[key] = (self.random.standard_normal(shape) * spread).astype(np.float32)
+
+    def uniform(self, key: str, width: int, low: float, high: float) -> None:
+        """A bias or its like."""
+        self.state[key] = self.random.uniform(low, high, width).astype(np.float32)
+
+    def norm(self, name: str, width: int, parts=tuple(NORM)) -> None:
+        """A batch normalisation."""
+        for part in parts:
+            self.uniform(f"{name}.{part}", width, *NORM[part])
+        self.state[f"{name}.num_batches_tracked"] = np.array(3)
+
+    def alike_blocks(self, channels, dimension: int, deformed=()) -> None:
+        """The four blocks that ALIKE and ALIKED have."""
+        before = 3
+        for n, width in enumerate(channels, 1):
+            for k, inside in ((1, before), (2, width)):
+                name = f"block{n}.conv{k}"
+                if n in deformed:
+                    self.weight(f"{name}.offset_conv.weight", 18, inside, 3, 3)
+                    self.uniform(f"{name}.offset_conv.bias", 18, -1, 1)
+                    name += ".regular_conv"
+                self.weight(f"{name}.weight", width, inside, 3, 3)
+                self.norm(f"block{n}.bn{k}", width)
+            if n > 1:
+                self.weight(f"block{n}.downsample.weight", width, before, 1, 1)
+                self.uniform(f"block{n}.downsample.bias", width, -0.1, 0.1)
+            self.weight(f"conv{n}.weight", dimension // 4, width, 1, 1)
+            before = width
+
+
+@pytest.fixture(scope="session")
+def random_checkpoint():
+    """Makes an empty one: random_checkpoint(gain=2.0)."""
+    return RandomCheckpoint
+
+
+@pytest.fixture(scope="session")
+def image():
+    """Noise, 50 x 71: no multiples of a network's cells."""
+    return jnp.asarray(np.random.default_rng(1).random((50, 71, 3)), jnp.float32)
 
 
 class _Storage:

@@ -7,45 +7,29 @@ from ebjax.models.alike import VARIANTS, convert, detect, detect_maps
 from ebjax.models.catalogue import recognise, restore
 
 
-def published(variant, seed=0):
-    """A checkpoint of the published keys and shapes."""
-    random = np.random.default_rng(seed)
-    channels, dimension, two_layers = VARIANTS[variant]
-    state, before = {}, 3
+@pytest.fixture(scope="module")
+def published(random_checkpoint):
+    """A variant's checkpoint, of the published keys and shapes."""
 
-    def add(key, *shape):
-        state[key] = (random.standard_normal(shape) * (2 / np.prod(shape[1:])) ** 0.5).astype(np.float32)
+    def make(variant):
+        channels, dimension, two_layers = VARIANTS[variant]
+        made = random_checkpoint()
+        made.alike_blocks(channels, dimension)
+        if two_layers:
+            made.weight("convhead1.weight", dimension, dimension, 1, 1)
+        made.weight("convhead2.weight", dimension + 1, dimension, 1, 1)
+        return made.state
 
-    for n, width in enumerate(channels, 1):
-        for k, inside in ((1, before), (2, width)):
-            add(f"block{n}.conv{k}.weight", width, inside, 3, 3)
-            for part, (low, high) in {"weight": (0.6, 1.4), "bias": (-0.2, 0.2), "running_mean": (-0.2, 0.2)}.items():
-                state[f"block{n}.bn{k}.{part}"] = random.uniform(low, high, width).astype(np.float32)
-            state[f"block{n}.bn{k}.running_var"] = random.uniform(0.5, 1.5, width).astype(np.float32)
-            state[f"block{n}.bn{k}.num_batches_tracked"] = np.array(3)
-        if n > 1:
-            add(f"block{n}.downsample.weight", width, before, 1, 1)
-            state[f"block{n}.downsample.bias"] = random.uniform(-0.1, 0.1, width).astype(np.float32)
-        add(f"conv{n}.weight", dimension // 4, width, 1, 1)
-        before = width
-    if two_layers:
-        add("convhead1.weight", dimension, dimension, 1, 1)
-    add("convhead2.weight", dimension + 1, dimension, 1, 1)
-    return state
+    return make
 
 
 @pytest.fixture(scope="module")
-def network():
+def network(published):
     return restore("alike", convert(published("alike-t")))
 
 
-@pytest.fixture(scope="module")
-def image():
-    return jnp.asarray(np.random.default_rng(1).random((50, 71, 3)), jnp.float32)
-
-
 @pytest.mark.parametrize("variant", VARIANTS)
-def test_every_variant_is_recognised_and_built(variant):
+def test_every_variant_is_recognised_and_built(published, variant):
     state = published(variant)
     assert recognise(state) == "alike"
     channels, dimension, two_layers = VARIANTS[variant]
@@ -54,7 +38,7 @@ def test_every_variant_is_recognised_and_built(variant):
     assert made.head2.kernel.shape == (1, 1, dimension, dimension + 1) and (made.head1 is not None) == two_layers
 
 
-def test_normalisation_is_folded_into_its_convolution():
+def test_normalisation_is_folded_into_its_convolution(published):
     state = published("alike-t")
     arrays = convert(state)
     x = np.random.default_rng(2).standard_normal((27,))
@@ -67,7 +51,7 @@ def test_normalisation_is_folded_into_its_convolution():
         assert arrays[f"block1.conv{k}.kernel"].shape == (3, 3, inside, 8)
 
 
-def test_wrong_keys_are_named():
+def test_wrong_keys_are_named(published):
     state = published("alike-t")
     with pytest.raises(ValueError, match=r"unexpected key 'other\.weight'"):
         convert({**state, "other.weight": np.zeros(3)})

@@ -3,61 +3,40 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from ebjax.models.aliked import SCORE, VARIANTS, convert, detect
+from ebjax.models.aliked import DEFORMED, SCORE, VARIANTS, convert, detect
 from ebjax.models.catalogue import recognise, restore
 from ebjax.models.deform import deform_conv
 
 
-def published(variant, seed=0):
-    """A checkpoint of the published keys and shapes."""
-    random = np.random.default_rng(seed)
-    channels, dimension, places = VARIANTS[variant]
-    state, before = {}, 3
+@pytest.fixture(scope="module")
+def published(random_checkpoint):
+    """A variant's checkpoint, of the published keys and shapes."""
 
-    def add(key, *shape, gain=1.0):
-        state[key] = (random.standard_normal(shape) * (gain / np.prod(shape[1:])) ** 0.5).astype(np.float32)
+    def make(variant):
+        channels, dimension, places = VARIANTS[variant]
+        made = random_checkpoint(gain=1.0)
+        made.alike_blocks(channels, dimension, DEFORMED)
+        before = dimension
+        for n, (width, size) in enumerate(SCORE):
+            made.weight(f"score_head.{2 * n}.weight", width, before, size, size, gain=2.0)
+            before = width
+        made.weight("desc_head.offset_conv.0.weight", 2 * places, dimension, 3, 3)
+        made.weight("desc_head.offset_conv.2.weight", 2 * places, 2 * places, 1, 1)
+        for n in (0, 2):
+            made.uniform(f"desc_head.offset_conv.{n}.bias", 2 * places, -1, 1)
+        made.weight("desc_head.sf_conv.weight", dimension, dimension, 1, 1)
+        made.weight("desc_head.agg_weights", places, dimension, dimension)
+        return made.state
 
-    for n, width in enumerate(channels, 1):
-        for k, inside in ((1, before), (2, width)):
-            name = f"block{n}.conv{k}"
-            if n > 2:
-                add(f"{name}.offset_conv.weight", 18, inside, 3, 3)
-                state[f"{name}.offset_conv.bias"] = random.uniform(-1, 1, 18).astype(np.float32)
-                name += ".regular_conv"
-            add(f"{name}.weight", width, inside, 3, 3)
-            for part, (low, high) in {"weight": (0.6, 1.4), "bias": (-0.2, 0.2), "running_mean": (-0.2, 0.2)}.items():
-                state[f"block{n}.bn{k}.{part}"] = random.uniform(low, high, width).astype(np.float32)
-            state[f"block{n}.bn{k}.running_var"] = random.uniform(0.5, 1.5, width).astype(np.float32)
-            state[f"block{n}.bn{k}.num_batches_tracked"] = np.array(3)
-        if n > 1:
-            add(f"block{n}.downsample.weight", width, before, 1, 1)
-            state[f"block{n}.downsample.bias"] = random.uniform(-0.1, 0.1, width).astype(np.float32)
-        add(f"conv{n}.weight", dimension // 4, width, 1, 1)
-        before = width
-    before = dimension
-    for n, (width, size) in enumerate(SCORE):
-        add(f"score_head.{2 * n}.weight", width, before, size, size, gain=2)
-        before = width
-    add("desc_head.offset_conv.0.weight", 2 * places, dimension, 3, 3)
-    add("desc_head.offset_conv.2.weight", 2 * places, 2 * places, 1, 1)
-    for n in (0, 2):
-        state[f"desc_head.offset_conv.{n}.bias"] = random.uniform(-1, 1, 2 * places).astype(np.float32)
-    add("desc_head.sf_conv.weight", dimension, dimension, 1, 1)
-    add("desc_head.agg_weights", places, dimension, dimension)
-    return state
+    return make
 
 
 @pytest.fixture(scope="module")
-def network():
+def network(published):
     return restore("aliked", convert(published("aliked-t16")))
 
 
-@pytest.fixture(scope="module")
-def image():
-    return jnp.asarray(np.random.default_rng(1).random((50, 71, 3)), jnp.float32)
-
-
-def test_published_keys_are_recognised_and_wrong_ones_named():
+def test_published_keys_are_recognised_and_wrong_ones_named(published):
     for variant, (channels, dimension, places) in VARIANTS.items():
         state = published(variant)
         assert recognise(state) == "aliked"

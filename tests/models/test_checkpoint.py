@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from safetensors.numpy import save_file
 
-from ebjax.models.checkpoint import read_checkpoint
+from ebjax.models.checkpoint import read_checkpoint, taking
 
 STATE = OrderedDict(
     {
@@ -60,6 +60,16 @@ def test_agrees_with_torch_itself(tmp_path, stream):
     found = read_checkpoint(tmp_path / "x.pth")
     for key, tensor in state.items():
         np.testing.assert_array_equal(found[key].astype(np.float64), tensor.detach().double().numpy())
+
+
+def test_every_key_has_to_be_taken():
+    with taking({**STATE, "other.weight": np.zeros(2)}, "other.") as take:
+        for key in ("a.weight", "a.bias", "a.transposed"):
+            np.testing.assert_array_equal(take(key), STATE[key])
+    with pytest.raises(ValueError, match=r"^key 'b\.bias' is missing in the checkpoint"), taking(STATE) as take:
+        take("b.bias")
+    with pytest.raises(ValueError, match=r"^unexpected key 'a\.transposed' in the checkpoint"), taking(STATE) as take:
+        take("a.weight"), take("a.bias")
 
 
 def test_reads_a_real_one(data):

