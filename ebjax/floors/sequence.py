@@ -148,19 +148,20 @@ def lights(config: CorridorConfig, rng: np.random.Generator) -> Light:
     gloss = surface.family(config.floor.family).gloss if config.gloss is None else config.gloss
     windows = np.where(rng.uniform(size=WINDOWS) < 0.3, rng.uniform(0.4, 1.0, WINDOWS), 0.0)
     sun = config.sun * np.where(np.arange(passes) > 0, rng.uniform(0.2, 1.0, passes), 1.0)[:, None] * windows
-    columns = (
+    columns = [
         np.array([1.0, 0.98, 0.94]) * (1 - by[:, None] * np.array([1.0, 0.95, 0.85])),
         0.12 + 0.3 * by,
         0.06 * by[:, None] * rng.uniform(-1, 1, (passes, 2)),
         np.full(passes, gloss),
         sun,
         np.cumsum(np.append(0.0, rng.uniform(0.4, 2.4, passes - 1))),
-    )
-    light = Light(*(jnp.asarray(column, jnp.float32) for column in columns))
-    if not config.mirror:
-        return light
-    same = (jnp.full(passes, value, jnp.float32) for value in (config.mirror, config.windows, config.rough))
-    return dataclasses.replace(light, mirror=Mirror(*same))
+    ]
+    level, contrast, slope, shine, sunny, shift = (jnp.asarray(column, jnp.float32) for column in columns)
+    mirror = None
+    if config.mirror:
+        same = (jnp.full(passes, value, jnp.float32) for value in (config.mirror, config.windows, config.rough))
+        mirror = Mirror(*same)
+    return Light(level, contrast, slope, shine, sunny, shift, mirror)
 
 
 # Two programs: in one, XLA casts the rays again for the noise.

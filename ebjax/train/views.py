@@ -150,10 +150,10 @@ def _painted_over(value: Float[Array, "S S"], share: float, *, key: Key[Array, "
     """A rectangle of one tone, where something stood."""
     draw = jax.random.uniform(key, (6,), jnp.float32)
     ticks = (jnp.arange(len(value), dtype=jnp.float32) + 0.5) / len(value)
-    inside = [jnp.abs(ticks - draw[k]) < 0.05 + 0.15 * draw[2 + k] for k in (0, 1)]
-    inside = (inside[0][:, None] & inside[1][None, :]) & (draw[4] < share)
+    down, across = (jnp.abs(ticks - draw[k]) < 0.05 + 0.15 * draw[2 + k] for k in (0, 1))
+    inside = down[:, None] & across[None, :]
     tone = value.mean() * (0.7 + 0.6 * draw[5])
-    return jnp.where(inside, tone, value)
+    return jnp.where(inside & (draw[4] < share), tone, value)
 
 
 def _as_jpeg(value: Float[Array, "S S"], share: float, *, key: Key[Array, ""]) -> Float[Array, "S S"]:
