@@ -6,6 +6,7 @@ import dataclasses
 import importlib
 import json
 import shlex
+import shutil
 import subprocess
 import sys
 from itertools import islice
@@ -21,6 +22,7 @@ from ebjax.command import parse
 from ebjax.command import run as run_command
 from ebjax.front.log import Log
 from ebjax.front.options import Options, made_by, options_from
+from ebjax.front.soft import soft_run
 from ebjax.io.map_file.file import MapFile
 from ebjax.io.trajectory import read_tum
 from ebjax.io.write_bag import write_bag
@@ -149,6 +151,72 @@ def test_a_log_is_gone_through_frame_by_frame(world, tmp_path):
     updates = [mapper.add(frame) for frame in islice(bag, 4)]
     assert [update.frame for update in updates] == [0, 1, 2, 3] and updates[0].keyframe == 0
     assert "\n" not in repr(updates[-1]) and repr(updates[-1]).startswith("Update(frame 3")
+
+
+def test_a_log_tells_the_truth_where_it_has_one(world, tmp_path):
+    np.testing.assert_allclose(ebjax.open_log(world).truth, small_run.truth(), atol=1e-8)
+    write_bag(tmp_path / "run.mcap", world, "mcap")
+    assert ebjax.open_log(tmp_path / "run.mcap").truth is None
+    named = ebjax.open_log(tmp_path / "run.mcap", topics={"truth": "/ground_truth"})
+    np.testing.assert_allclose(named.truth, small_run.truth(), atol=1e-8)
+
+
+def test_views_of_closures_are_found_by_keyframe(closed):
+    rows = np.searchsorted(closed.keyframes, closed.closures.i)
+    np.testing.assert_array_equal(closed.keyframes[rows], closed.closures.i)
+    assert rows[-1] < closed.closures.i[-1], "else frames and keyframes are the same here"
+    assert closed.seen(int(rows[-1])).shape == closed.seen(0).shape
+
+
+def copied(world, folder, *left_out):
+    """The run without some of its files."""
+    shutil.copytree(world, folder, ignore=shutil.ignore_patterns(*left_out))
+    return folder
+
+
+def test_a_log_becomes_a_differentiable_run(world):
+    log = ebjax.open_log(world, **OPTIONS)
+    run = soft_run(log)
+    assert run.images.shape == (len(log), 240, 320, 1) and run.images.dtype == "float32"
+    grey = cv2.cvtColor(log.images.rgb(7), cv2.COLOR_RGB2GRAY)
+    np.testing.assert_allclose(run.images[7, ..., 0], grey / 255, atol=0.51 / 255)
+    np.testing.assert_allclose(run.times_s, 0.2 * np.arange(len(log)), atol=1e-6)
+    np.testing.assert_allclose(run.truth, small_run.truth()[:, :2], atol=1e-8)
+    np.testing.assert_allclose(run.chain.poses, small_run.odometry(), atol=1e-8)
+    assert run.camera is log.camera
+    some = soft_run(log, frames=range(0, len(log), 5))
+    np.testing.assert_array_equal(some.images, run.images[::5])
+    np.testing.assert_array_equal(some.times_s, run.times_s[::5])
+    np.testing.assert_allclose(some.chain.poses, run.chain.poses[::5], atol=1e-12)
+
+
+def test_frames_without_image_or_truth_are_left_out_of_a_differentiable_run(world, tmp_path):
+    folder = copied(world, tmp_path / "run")
+    (folder / "rgb" / "0003.png").write_bytes(b"no image")
+    known = (folder / "groundtruth.txt").read_text().splitlines()
+    (folder / "groundtruth.txt").write_text("\n".join(known[:-4]) + "\n")
+    run, whole = soft_run(ebjax.open_log(folder)), len(small_run.truth())
+    np.testing.assert_allclose(
+        run.truth, np.delete(small_run.truth(), [3, *range(whole - 4, whole)], 0)[:, :2], atol=1e-8
+    )
+
+
+@pytest.mark.parametrize(
+    ("left_out", "options", "frames", "words"),
+    [
+        ("groundtruth.txt", {}, None, r"the log has none: a folder has it in groundtruth\.txt, a bag .*topics={"),
+        ("odometry.txt", {}, None, r"soft_run needs odometry, and .*odometry\.txt"),
+        ("", {"motion": "floor"}, None, "soft_run needs odometry, and the run was read without"),
+        ("", {}, [3], "1 frames with an image and truth, soft_run needs two at least"),
+        ("", {}, [4, 3], "soft_run takes frames 0 to .*, increasing"),
+        ("", {}, [0, 1000], "soft_run takes frames 0 to "),
+    ],
+)
+def test_what_no_differentiable_run_can_be_made_of(world, tmp_path, left_out, options, frames, words):
+    log = ebjax.open_log(copied(world, tmp_path / "run", left_out), **options)
+    with pytest.raises(ValueError, match=words) as stop:
+        soft_run(log, frames=frames)
+    assert str(stop.value).startswith(str(tmp_path / "run")) and "\n" not in str(stop.value)
 
 
 def test_a_database_of_rtabmap_is_gone_through(data):

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
 from ebjax.command import setup_jax
 from ebjax.front.options import Options, options_from
@@ -19,6 +19,7 @@ from ebjax.mapping.seen_floor import camera_over_floor, ignored_pixels, view_cho
 from ebjax.slam.drive import decoded_ahead
 from ebjax.slam.frame import Frame
 from ebjax.slam.recording import Recording
+from ebjax.slam.world import planar
 from ebjax.views.run_view import RunView
 
 
@@ -77,6 +78,12 @@ class Log:
                 rgb, depth_m = both or (None, None)
                 odom = None if odometry is None else odometry[k]
                 yield Frame(float(recording.timestamps[k]), rgb, depth_m, odom, recording.names[k])
+
+    @property
+    def truth(self) -> Float[np.ndarray, "F 3"] | None:
+        """True x, y (m) and heading (rad) of every frame, NaN where it is not known; None of a log without."""
+        truth = self.sequence.world_from_base
+        return None if truth is None else planar(truth)
 
     @cached_property
     def _over_floor(self) -> tuple[Camera, tuple[str, ...]]:

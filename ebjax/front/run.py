@@ -85,6 +85,9 @@ class Run(Thought):
     opposing, i_from_j and covariance of the loop closures; `candidates` and `reasons` all that were measured, and why
     each counts or not. `graph` and `solution` are the pose graph and its optimum.
 
+    Closures count in frames; `seen(k)` and `floor(k)`, the floor views, in keyframes: frame `keyframes[k]`. The view of
+    a closure's later frame i is `seen(int(np.searchsorted(keyframes, i)))`.
+
     Attributes:
       driven: what it was driven from.
     """

@@ -7,6 +7,7 @@ alone; a `resumed_folder` alone keeps it, to go on from.
 import contextlib
 import os
 import shutil
+import tempfile
 import uuid
 from collections.abc import Iterator
 from pathlib import Path
@@ -71,6 +72,23 @@ def whole_folder(path: str | Path) -> Iterator[Path]:
                 os.replace(source, target)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def check_folder(path: str | Path) -> None:
+    """Refuses at once a folder that `whole_folder` could not write after long work; leaves nothing behind.
+
+    Raises:
+      OSError: the folder, or the one that it would be made in, cannot be written, or is a file; names it.
+    """
+    path = Path(path).absolute()
+    there = next(one for one in (path, *path.parents) if one.exists())
+    if not there.is_dir():
+        raise NotADirectoryError(20, "is a file; name a folder", str(there))
+    try:
+        with tempfile.TemporaryDirectory(prefix=f".{path.name}.", suffix=".partial", dir=there):
+            pass
+    except OSError as fault:
+        raise OSError(fault.errno, fault.strerror, str(path)) from None
 
 
 @contextlib.contextmanager

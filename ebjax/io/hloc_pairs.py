@@ -54,7 +54,10 @@ def check_names(path: str | Path, names: Sequence[str], rows: set[int]) -> None:
         name = names[row]
         if name.split() != [name]:
             why = "has no name" if not name else f"is called {name!r}, and hloc splits names at blanks"
-            raise ValueError(f"{path}: the image of keyframe {row} {why}; rename the images without blanks")
+            raise ValueError(
+                f"{path}: the image of keyframe {row} {why}; rename the images without blanks; of a bag, write them "
+                "as files with `python -m ebjax.logs LOG --out FOLDER` and run that folder"
+            )
         if (other := first.setdefault(name, row)) != row:
             raise ValueError(
                 f"{path}: the images of keyframes {other} and {row} are both called {name!r}, which hloc cannot tell "

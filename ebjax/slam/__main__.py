@@ -14,6 +14,7 @@ from ebjax.front.close import closing, remembering
 from ebjax.front.demo import compile_engine, demo
 from ebjax.front.log import Log
 from ebjax.front.options import Options
+from ebjax.io.atomic import check_folder
 from ebjax.mapping.localised_run import localise_run
 from ebjax.mapping.map_options import MapOptions, check_map_options, look_after
 from ebjax.viz.live import Live
@@ -44,6 +45,7 @@ def main(config: Config) -> None:
             raise ValueError(f"--{'live' if config.live else 'save-rrd'} shows a run: name a LOG before --map")
         print("\n".join(look_after(config.map, config, config.out, config.map_metres_per_px, config)))
         return
+    check_folder(config.out)
     alone = config.sequence is None
     if alone:
         config = dataclasses.replace(config, sequence=demo(config.out / "sequence", partial(compile_engine, config)))

@@ -47,7 +47,7 @@ class Earlier:
 
 @dataclasses.dataclass(frozen=True)
 class Run:
-    """A run, thought over. `candidates.i`, `.j` are frame numbers.
+    """A run, thought over. `candidates.i`, `.j` are frame numbers; `seen` and `floor` take rows of `keyframes`.
 
     Attributes:
       keyframes: frame numbers that were looked at.
@@ -106,7 +106,7 @@ class Run:
         return np.array([reason == KEPT for reason in self.reasons], bool)
 
     def seen(self, k: int) -> UInt8[np.ndarray, "h w 3"]:
-        """The floor view of the k-th keyframe."""
+        """The floor view of the k-th keyframe, of frame `keyframes[k]`."""
         return self.looked.seen(self.earlier.count + k)
 
     def floor(self, k: int) -> Bool[np.ndarray, "h w"]:

@@ -2,7 +2,7 @@ import resource
 
 import pytest
 
-from ebjax.io.atomic import resumed_folder, whole_file, whole_folder
+from ebjax.io.atomic import check_folder, resumed_folder, whole_file, whole_folder
 
 
 def contents(folder):
@@ -118,3 +118,14 @@ def test_a_file_in_an_unfinished_folder_is_told_as_it_would_be_called(tmp_path):
     with pytest.raises(OSError, match=r"run/a/b'"), whole_folder(tmp_path / "run") as folder:
         (folder / "a" / "b").read_text()
     assert contents(tmp_path) == {}
+
+
+@pytest.mark.parametrize("name", ["file", "file/run", "/proc/runs/run"])
+def test_a_folder_that_cannot_be_written_is_known_before(tmp_path, name):
+    (tmp_path / "file").write_text("mine")
+    check_folder(tmp_path / "new" / "run")
+    check_folder(tmp_path)
+    with pytest.raises(OSError) as stop:
+        check_folder(tmp_path / name)
+    assert str(stop.value.filename) in str(tmp_path / name)
+    assert contents(tmp_path) == {"file": "mine"} and len(list(tmp_path.iterdir())) == 1

@@ -34,6 +34,7 @@ def test_the_same_run_is_found_where_it_was(whole, tmp_path):
     rows = np.searchsorted(recording.timestamps, track.timestamps - 1e-6)
     off = between(planar(track.poses), whole.run.poses[rows])
     assert np.hypot(off[:, 0], off[:, 1]).max() < 0.05 and np.degrees(np.abs(off[:, 2])).max() < 1
+    assert {file.name for file in (tmp_path / "out").iterdir()} == {"metrics.json", "trajectory.tum", "whereabouts.csv"}
     with open(tmp_path / "out" / "whereabouts.csv", newline="") as file:
         table = list(csv.DictReader(file))
     assert [row["name"] for row in table] == list(recording.names)

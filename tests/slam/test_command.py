@@ -313,6 +313,14 @@ def test_flags_of_a_map_that_do_not_go_together(tmp_path, monkeypatch, capsys, f
     assert not list(tmp_path.iterdir())
 
 
+def test_a_file_in_the_way_of_the_results_is_known_before_the_run(sequence, tmp_path, capsys):
+    (tmp_path / "results").write_text("mine")
+    with pytest.raises(SystemExit) as stop:
+        run(main, Config, [str(sequence), "--out", str(tmp_path / "results")])
+    assert stop.value.code == 2
+    assert capsys.readouterr().err == f"error: {tmp_path / 'results'}: is a file; name a folder\n"
+
+
 def test_a_run_is_recorded_for_rerun(sequence, tmp_path):
     pytest.importorskip("rerun", reason="needs rerun-sdk")
     keep_lines(sequence / "rgb.txt", 8)

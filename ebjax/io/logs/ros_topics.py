@@ -34,6 +34,7 @@ ROLES = {
 NO_PICTURE = ("disparity", "confidence", "mask", "thermal")
 INFRARED = ("infra", "/ir/", "ir_image", "/ir")
 TRANSPORTS = ("/compressed", "/compressedDepth")
+TRUTH = ("truth", "/gt")
 NEARLY = 0.9
 
 
@@ -192,7 +193,7 @@ class _Chooser:
         found = self.of(ODOMETRY)
         chosen = self.given("odometry")
         if chosen is None:
-            usable = [k for k in found if not any(word in self.topic(k) for word in ("truth", "/gt"))]
+            usable = [k for k in found if not self._like_truth(k)]
             if not usable:
                 return None
 
@@ -205,6 +206,16 @@ class _Chooser:
             chosen = min(usable, key=rank)
         self.say("odometry", chosen, found)
         return chosen
+
+    def truth(self) -> int | None:
+        """Only where it is named; a topic that looks like it is told of."""
+        chosen = self.given("truth")
+        if chosen is None and (like := sorted(self.topic(k) for k in self.of(*POSES) if self._like_truth(k))):
+            self.notes.append(f"{self.bag.path}: no truth is read; --topics.truth {like[0]} reads it from there")
+        return chosen
+
+    def _like_truth(self, channel: int) -> bool:
+        return any(word in self.topic(channel) for word in TRUTH)
 
     def imu(self) -> int | None:
         """The IMU that says how it is turned; most say only how they are pushed."""
@@ -252,7 +263,7 @@ def choose(bag: Bag, wanted: Mapping[str, str]) -> Topics:
         camera_info=chooser.info_of(image) if info is None else info,
         depth_info=None if depth is None else chooser.info_of(depth),
         odometry=chooser.odometry(),
-        truth=chooser.given("truth"),
+        truth=chooser.truth(),
         imu=chooser.imu(),
         tf=tuple(chooser.of(*TF)),
         frames=chooser.frames,

@@ -109,6 +109,7 @@ def test_chosen_topics_and_wrong_ones(tmp_path):
     assert len(log.colour) == 3 and log.odometry.poses[0, 0, 3] == 0 and log.truth is None
     assert said(log, "images from /camera/color/image_raw", "others are /left/image_raw")
     assert said(log, "odometry from /odom", "others are /wheel/odometry")
+    assert said(log, "no truth is read; --topics.truth /ground_truth reads it from there")
     log = open_bag(path, topics={"image": "left/image_raw", "odometry": "/wheel/odometry", "truth": "/ground_truth"})
     assert len(log.colour) == 5 and log.odometry.poses[2, 1, 3] == 2 and log.truth.poses[4, 0, 3] == 4
     assert log.camera.source.startswith("/camera/color/camera_info of ")
