@@ -1,4 +1,7 @@
-"""A contact sheet: every family from above, near and far, and from both directions under two lights."""
+"""A contact sheet: families of floors from above, near and far, and from both directions under two lights.
+
+Those that floornet has learned from.
+"""
 
 import cv2
 import jax.numpy as jnp
@@ -10,7 +13,7 @@ from ebjax.floors.robot import RobotConfig
 from ebjax.floors.scene import Scene
 from ebjax.floors.sensor import GAMMA
 from ebjax.floors.sequence import CorridorConfig, record
-from ebjax.floors.surface import FAMILIES, FloorConfig
+from ebjax.floors.surface import LEARNED, FloorConfig
 
 CELL = (320, 240)
 FROM_ABOVE = 4.0
@@ -31,9 +34,7 @@ def from_above(
 def sheet(seed: int) -> UInt8[np.ndarray, "h w 3"]:
     """A row a family: 2.4 m from above, 0.8 m from above, the way out, the same floor on the way back."""
     rows = []
-    for number, name in enumerate(FAMILIES):
-        if name == "photograph":
-            continue
+    for number, name in enumerate(LEARNED):
         config = CorridorConfig(
             seed=seed + number, floor=FloorConfig(family=name), robot=RobotConfig(distance_m=FROM_ABOVE, step_m=0.2)
         )
