@@ -11,7 +11,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Key
+from jaxtyping import Array, Bool, Float, Key
 
 from ebjax.geometry.pytree import pytree
 from ebjax.geometry.warp import sample_bilinear
@@ -35,6 +35,8 @@ NOISE, ROW_NOISE = (0.002, 0.03), (0.0003, 0.006)
 PIXEL_M = 0.01
 FOOT_M, HEIGHT_M = (0.2, 0.9), (0.25, 1.3)
 """From the camera's foot to the near edge; of the camera."""
+ALIKE = 0.5
+"""Share of floors of which all places are seen with the same mirror image."""
 PALE = 0.4
 """Share of floors whose pattern is fainter than it was painted, down to CONTRAST."""
 CONTRAST = 0.15
@@ -113,24 +115,34 @@ class Floor:
 
     room: Room
     contrast: Float[Array, ""]
+    mount: Float[Array, "2"]
+    """Of the camera, each in [0, 1]: its foot and its height."""
+    stands: Float[Array, "2 3"]
+    """Where robots stand in the room, there and back, each in [0, 1]: aside, heading, along."""
+    alike: Bool[Array, ""]
+    """They stand so at every place, as where lamps and windows repeat: the mirror image tells no places apart."""
 
 
 def _draw_floor(wild: Wild, *, key: Key[Array, ""]) -> Floor:
-    room_key, share_key, contrast_key = jax.random.split(key, 3)
+    room_key, share_key, contrast_key, stand_key = jax.random.split(key, 4)
     pale = _uniform(share_key, (0.0, 1.0)) < wild.rest * PALE
     faint = jnp.exp(_uniform(contrast_key, (float(np.log(CONTRAST)), 0.0)))
-    return Floor(draw_room(wild.mirrors, key=room_key), jnp.where(pale, faint, 1))
+    draw = jax.random.uniform(stand_key, (9,), jnp.float32)
+    room = draw_room(wild.mirrors, key=room_key)
+    return Floor(room, jnp.where(pale, faint, 1), draw[:2], draw[2:8].reshape(2, 3), draw[8] < ALIKE)
 
 
-def _reflection(room: Room, side: int, *, key: Key[Array, ""]) -> Float[Array, "S S"]:
-    """What the floor mirrors, its near edge in the last row."""
-    foot, aside, height, heading, along = jax.random.uniform(key, (5,), jnp.float32)
+def _reflection(floor: Floor, side: int, way: int, *, key: Key[Array, ""]) -> Float[Array, "S S"]:
+    """What the floor mirrors on the way there (0) or back (1), its near edge in the last row."""
+    own = jax.random.uniform(key, (3,), jnp.float32)
+    aside, heading, along = jnp.where(floor.alike, floor.stands[way] + 0.04 * (own - 0.5), own)
+    foot, height = floor.mount
     ticks = (jnp.arange(side, dtype=jnp.float32) + 0.5) * PIXEL_M
     ahead = FOOT_M[0] + (FOOT_M[1] - FOOT_M[0]) * foot + ticks[::-1]
     right = ticks - side * PIXEL_M / 2 + 0.6 * (aside - 0.5)
     x, y = jnp.meshgrid(right, ahead)
     height_m = HEIGHT_M[0] + (HEIGHT_M[1] - HEIGHT_M[0]) * height
-    return mirrored(room, (x, y), height_m, 0.5 * (heading - 0.5), 12 * along)
+    return mirrored(floor.room, (x, y), height_m, 0.5 * (heading - 0.5), 12 * along)
 
 
 def _patched(linear: Float[Array, "S S"], share: float, *, key: Key[Array, ""]) -> Float[Array, "S S"]:
@@ -246,7 +258,7 @@ def _pair(canvas, centre, zoom, side, floor, wild, *, key):
         linear = found[..., 0] - sign * elevation * found[..., 2]
         linear = jnp.maximum(linear + (floor.contrast - 1) * (linear - linear.mean()), 0.005)
         linear = _patched(linear, wild.rest * PATCH_SHARE, key=next(wild_keys))
-        reflection = _reflection(floor.room, side, key=next(wild_keys))[::sign, ::sign]
+        reflection = _reflection(floor, side, (1 - sign) // 2, key=next(wild_keys))[::sign, ::sign]
         return _photograph(linear, nearness[::sign], reflection, wild, key=next(keys))
 
     return seen(first, 1), seen(second, -1), jnp.linalg.inv(second) @ first

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ebjax.train.mirror import Room, draw_room, mirrored
-from ebjax.train.views import Wild, sample_pairs
+from ebjax.train.views import Wild, _draw_floor, _reflection, sample_pairs
 
 from .test_views import canvas  # noqa: F401
 
@@ -68,3 +68,13 @@ def test_wild_views_are_harder_and_in_range(canvas):  # noqa: F811
     for views in (wild.first, wild.second):
         assert bool(jnp.isfinite(views).all()) and float(views.min()) >= 0 and float(views.max()) <= 1
     assert float(jnp.abs(tame.first - wild.first).mean()) > 0.02
+
+
+def test_half_of_the_floors_mirror_the_same_at_every_place():
+    differ = []
+    for k in range(24):
+        floor = _draw_floor(Wild(1.0, 0.0), key=jax.random.key(k))
+        images = [_reflection(floor, 64, way, key=jax.random.key(n + 2 * way)) for way in (0, 1) for n in range(2)]
+        assert float(jnp.abs(images[0] - images[2]).max()) > 0, "the ways differ"
+        differ.append(float(jnp.abs(images[0] - images[1]).mean()) / float(images[0].mean()))
+    assert sum(one < 0.2 for one in differ) >= 6 and sum(one > 0.2 for one in differ) >= 6
