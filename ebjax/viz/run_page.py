@@ -105,7 +105,9 @@ def answer(metrics: Mapping[str, Any]) -> str:
     kept, joined = metrics["closures_kept"], (metrics.get("map") or {}).get("closures", 0)
     if not kept and not joined:
         alone = "the odometry" if metrics.get("motion") is None else "what the steps and the odometry say"
-        why = " ".join(map(sentence, filter(None, (metrics["nothing_kept"], metrics["best_refused"]))))
+        why = " ".join(
+            map(sentence, filter(None, (metrics[key] for key in ("nothing_kept", "mirrored", "best_refused"))))
+        )
         error = metrics.get("ate_rmse_m")
         off = f", {error['after']:.4f} m off the truth (root mean square)" if error else ""
         return f"{why} The trajectory is {alone}{off}."

@@ -17,6 +17,7 @@ METRICS = {
     "reasons": {"… inliers, fewer than 20": 222, "kept": 17},
     "nothing_kept": None,
     "best_refused": None,
+    "mirrored": None,
     "map": None,
     "motion": None,
     "ate_rmse_m": {"before": 0.47462, "after": 0.0006},
@@ -30,6 +31,7 @@ NOTHING = METRICS | {
     "closures_kept": 0,
     "closures_opposing": 0,
     "nothing_kept": "no loop closure: of 9 candidates 9: too few matches agree",
+    "mirrored": None,
     "best_refused": "the best candidate, a.jpg and b.jpg: 12 of 80 matches agree; 12 inliers, fewer than 20",
 }
 FIGURE = {"png": b"png", "caption": "two images"}
