@@ -33,6 +33,14 @@ def between(world_from_a: Poses, world_from_b: Poses) -> Poses:
     return relative
 
 
+def matrix(a_from_b: Poses) -> Float[np.ndarray, "*n 3 3"]:
+    """Of poses, for homogeneous points."""
+    c, s = np.cos(a_from_b[..., 2]), np.sin(a_from_b[..., 2])
+    zero, one = np.zeros_like(c), np.ones_like(c)
+    rows = [[c, -s, a_from_b[..., 0]], [s, c, a_from_b[..., 1]], [zero, zero, one]]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
 def chained(steps: Float[np.ndarray, "M 3"]) -> Float[np.ndarray, "N 3"]:
     """The path (0, 0, 0), steps[0], steps[0] steps[1], ...; the heading goes on beyond pi."""
     heading = np.concatenate([[0.0], np.cumsum(steps[:, 2])])

@@ -7,6 +7,7 @@ from ebjax.evaluation.run import spread_rows
 from ebjax.features.table import Pair
 from ebjax.geometry.camera import Camera, image_from_floor, raw_from_ideal
 from ebjax.geometry.homography import apply
+from ebjax.geometry.planar import between, matrix
 from ebjax.paper.run import Run
 
 NEAR_M = 0.3
@@ -67,13 +68,8 @@ def cut_pairs(run: Run, name: str, count: int) -> list[Pair]:
     centre = np.asarray(apply(np.linalg.inv(image), quad)).mean(0)
     made = []
     for k, (a, b) in enumerate(facing_frames(run, centre, count)):
-        b_from_a = np.linalg.inv(_matrix(run.truth[b])) @ _matrix(run.truth[a])
+        b_from_a = matrix(between(run.truth[b], run.truth[a]))
         homography = image @ b_from_a @ np.linalg.inv(image)
         first, second = run.sequence.rgb(int(a)), run.sequence.rgb(int(b))
         made.append(Pair(f"{name} {k + 1}", first, second, quad, homography))
     return made
-
-
-def _matrix(pose: np.ndarray) -> np.ndarray:
-    c, s = np.cos(pose[2]), np.sin(pose[2])
-    return np.array([[c, -s, pose[0]], [s, c, pose[1]], [0, 0, 1.0]])

@@ -13,6 +13,8 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
+from ebjax.geometry.planar import matrix
+
 SHARPNESS = 4
 MAX_PIXELS = 10_000_000
 
@@ -65,7 +67,7 @@ def mosaic(
     """
     if not len(world_from_base) or not mask.any():
         raise ValueError("the floor map needs at least one view with a mask that is not empty")
-    world_from_view = _planar(world_from_base) @ floor_from_view
+    world_from_view = matrix(world_from_base) @ floor_from_view
     corners = _corners(mask, world_from_view)
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     scale = max(metres_per_px, math.sqrt(float(np.prod(high - low)) / MAX_PIXELS))
@@ -95,13 +97,6 @@ def mosaic(
     image = np.concatenate([np.rint(colour), 255 * seen], axis=-1).clip(0, 255).astype(np.uint8)
     x_min, y_max = float(low[0]), float(high[1])
     return FloorMap(image, (x_min, x_min + columns * scale, y_max - rows * scale, y_max), scale)
-
-
-def _planar(poses: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3 3"]:
-    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    zero, one = np.zeros_like(c), np.ones_like(c)
-    rows = [[c, -s, poses[:, 0]], [s, c, poses[:, 1]], [zero, zero, one]]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=1)
 
 
 def _corners(mask: Bool[np.ndarray, "h w"], world_from_view: Float[np.ndarray, "N 3 3"]) -> Float[np.ndarray, "N 4 2"]:

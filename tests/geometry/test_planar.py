@@ -127,11 +127,17 @@ def test_covariance_of_the_inverse_of_the_inverse_is_the_first_again():
     np.testing.assert_allclose(there, here, rtol=1e-4)
 
 
+def test_matrices_are_those_of_jaxlie():
+    pose = poses(12)
+    expected = np.stack([np.asarray(jaxlie.SE2.from_xy_theta(*one).as_matrix()) for one in pose])
+    np.testing.assert_allclose(planar.matrix(pose), expected, atol=1e-12)
+
+
 @pytest.mark.parametrize("shape", [(), (4,), (2, 3)])
 def test_any_leading_axes(shape):
     random = np.random.default_rng(11)
     a, b = random.normal(size=(2, *shape, 3))
     for found in (planar.compose(a, b), planar.inverse(a), planar.between(a, b), planar.log(a)):
         assert found.shape == (*shape, 3)
-    assert planar.log_jacobian(a).shape == (*shape, 3, 3)
+    assert planar.log_jacobian(a).shape == planar.matrix(a).shape == (*shape, 3, 3)
     assert planar.adjoint(a).shape == planar.inverse_covariance(a, np.zeros((*shape, 3, 3))).shape == (*shape, 3, 3)
