@@ -19,7 +19,8 @@ from ebjax.odometry.floor_steps import more_certain
 from ebjax.odometry.image_corners import compile_lifting
 from ebjax.places.descriptor import descriptor
 from ebjax.places.fixed_words import FixedWords, fixed_words
-from ebjax.places.index import PlaceIndex
+from ebjax.places.index import Comparable, PlaceIndex
+from ebjax.places.place import Place
 from ebjax.places.search import check_ranking
 from ebjax.posegraph.graph import PoseGraph
 from ebjax.slam.believe import Belief
@@ -31,7 +32,7 @@ from ebjax.slam.graph import graph_so_far
 from ebjax.slam.join import joined
 from ebjax.slam.measured import Measured
 from ebjax.slam.packed import Arrays, place_of
-from ebjax.slam.recall import Alike, comparable_rows, worth_verifying
+from ebjax.slam.recall import Alike, comparable_rows, filled, not_ranked, worth_verifying
 from ebjax.slam.table import Table
 from ebjax.slam.told import packed_pairs, packed_steps, unpacked_pairs, unpacked_steps
 from ebjax.slam.walked import Walked
@@ -103,11 +104,19 @@ class Engine(Walker):
 
     def _recognise(self, row: int, kept: Arrays) -> tuple[Closure, ...]:
         """Looks for a keyframe among those before; returns closures whose standing is new."""
-        alike = self._alike(row, kept)
+        place, path, config, view = place_of(kept), self.path, self.config, self.view
+        comparable = comparable_rows(
+            self.keyframes.stamp_s, self.keyframes.travelled, self.start, config.min_gap_s, config.min_gap_m
+        )
+        alike = self._alike(place, *comparable)
         first = (alike.j[0], alike.opposing[0], alike.distance[0]) if len(alike.j) else (-1, False, np.inf)
         self.firsts.append(j=first[0], opposing=first[1], distance=first[2])
-        path = self.path
-        return self._believe(row, worth_verifying(alike, row, path, self.view, self.config), path)
+        chosen = worth_verifying(alike, row, path, view, config)
+        others = not_ranked(chosen, row, comparable, path, view, config)
+        if any(mask.any() for mask in others):
+            chosen = filled(chosen, self._alike(place, *others), config.verify)
+        self.index.add(place)
+        return self._believe(row, chosen, path)
 
     def recognise(self, kept: Arrays, name: str) -> None:
         """Looks for a keyframe whose way is known (`at.*`) among those before, and keeps it.
@@ -124,14 +133,8 @@ class Engine(Walker):
         kept = [self.store.arrays(int(row)) for row in rows]
         return np.stack([k["place.map"] for k in kept]), np.stack([k["place.weight"] for k in kept])
 
-    def _alike(self, row: int, kept: Arrays) -> Alike:
-        place = place_of(kept)
-        config = self.config
-        same, opposing = comparable_rows(
-            self.keyframes.stamp_s, self.keyframes.travelled, self.start, config.min_gap_s, config.min_gap_m
-        )
+    def _alike(self, place: Place, same: Comparable, opposing: Comparable) -> Alike:
         found = self.index.query(place, same, opposing)
-        self.index.add(place)
         return Alike(np.asarray(found.j), np.asarray(found.opposing), np.asarray(found.distance))
 
     def _believe(self, row: int, chosen: Alike, path: Walked) -> tuple[Closure, ...]:

@@ -3,6 +3,8 @@
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from ebjax.geometry.planar import wrapped
+
 
 def drift_sigma_m(
     odom_from_base: Float[np.ndarray, "N 3"],
@@ -64,17 +66,32 @@ def on_floor(poses: Float[np.ndarray, "K 3"], points: Float[np.ndarray, "K 2"]) 
 def plausible(
     i: Int[np.ndarray, " K"],
     j: Int[np.ndarray, " K"],
+    opposing: Bool[np.ndarray, " K"],
     odom_from_base: Float[np.ndarray, "N 3"],
     view_centre_m: Float[np.ndarray, "2"],
     view_extent_m: float,
     steps: Float[np.ndarray, "M 3 3"],
     sigmas: float,
 ) -> Bool[np.ndarray, " K"]:
-    """Pairs of frames whose floor views can overlap if odometry errs by so many standard deviations at most.
+    """Pairs of frames whose floor views can overlap, and face as is claimed, by an odometry that errs no more.
 
-    Says what is worth verifying on a floor that repeats; it does not touch the ranking. Only odometry is asked: a gate
-    of closures that are believed would confirm a wrong one.
+    A pair faces each other where the headings are nearer to half a turn apart than to none. Says what is worth
+    verifying on a floor that repeats; it does not touch the ranking. Only odometry is asked: a gate of closures that
+    are believed would confirm a wrong one.
+
+    Args:
+      i: rows of the later frames.
+      j: rows of the earlier ones.
+      opposing: whether the two are claimed to face each other.
+      odom_from_base: the path: x, y (m), heading (rad).
+      view_centre_m: of the floor view, in base.
+      view_extent_m: how far apart the centres of two views that overlap are at most.
+      steps: covariance of each step of the path, right tangent.
+      sigmas: standard deviations that odometry may err by.
     """
     centre_i, centre_j = (on_floor(odom_from_base[k], np.broadcast_to(view_centre_m, (len(k), 2))) for k in (i, j))
     gap = np.linalg.norm(centre_i - centre_j, axis=1)
-    return gap <= view_extent_m + sigmas * drift_sigma_m(odom_from_base, steps, i, j)
+    near = gap <= view_extent_m + sigmas * drift_sigma_m(odom_from_base, steps, i, j)
+    turned = np.abs(wrapped(odom_from_base[i, 2] - odom_from_base[j, 2] - np.pi * opposing))
+    turning = np.concatenate([np.zeros(1), np.cumsum(steps[:, 2, 2])])
+    return near & (turned <= np.pi / 2 + sigmas * np.sqrt(np.maximum(turning[i] - turning[j], 0)))

@@ -47,8 +47,37 @@ def worth_verifying(alike: Alike, row: int, path: Walked, view: RunView, config:
     known = path.piece[alike.j] == path.piece[row]
     good = ~known
     sigmas = config.believe.odometry_sigmas
-    good[known] = plausible(i[known], alike.j[known], path.poses, view.centre_m, view.extent_m, path.steps, sigmas)
+    where = path.poses, view.centre_m, view.extent_m, path.steps
+    good[known] = plausible(i[known], alike.j[known], alike.opposing[known], *where, sigmas)
     return best_of_each_way(alike, good, config.verify)
+
+
+def not_ranked(
+    chosen: Alike, row: int, comparable: tuple[int, int], path: Walked, view: RunView, config: PipelineConfig
+) -> tuple[Bool[np.ndarray, " N"], Bool[np.ndarray, " N"]]:
+    """Which rows odometry allows beside the chosen ones, in each direction that has fewer than `config.verify` of them.
+
+    Where many places look alike, the first of a ranking of all may be none that the robot can be at. Between two pieces
+    of path nothing is known, and the ranking of all is the only one.
+
+    Args:
+      chosen: by `worth_verifying`.
+      row: of the keyframe.
+      comparable: how many of the first rows may be compared in the same direction, and in the opposite one.
+      path: of the keyframes.
+      view: of the run.
+      config: how many are verified, and how far odometry may err.
+    """
+    masks = np.zeros((2, row), bool)
+    for way, count in enumerate(comparable):
+        mine = chosen.j[chosen.opposing == bool(way)]
+        if len(mine) < config.verify:
+            rows = np.flatnonzero(path.piece[:count] == path.piece[row])
+            where = path.poses, view.centre_m, view.extent_m, path.steps, config.believe.odometry_sigmas
+            allowed = plausible(np.full(len(rows), row), rows, np.full(len(rows), bool(way)), *where)
+            masks[way, rows[allowed]] = True
+            masks[way, mine] = False
+    return masks[0], masks[1]
 
 
 def best_of_each_way(alike: Alike, good: Bool[np.ndarray, " K"], count: int) -> Alike:
@@ -58,3 +87,10 @@ def best_of_each_way(alike: Alike, good: Bool[np.ndarray, " K"], count: int) -> 
         mine = good & (alike.opposing == way)
         chosen |= mine & (np.cumsum(mine) <= count)
     return Alike(alike.j[chosen], alike.opposing[chosen], alike.distance[chosen])
+
+
+def filled(chosen: Alike, others: Alike, count: int) -> Alike:
+    """The chosen ones, and of each direction the best others until there are `count`."""
+    pairs = zip(dataclasses.astuple(chosen), dataclasses.astuple(others), strict=True)
+    every = Alike(*(np.concatenate(two) for two in pairs))
+    return best_of_each_way(every, np.ones(len(every.j), bool), count)

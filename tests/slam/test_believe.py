@@ -144,10 +144,15 @@ def test_drift_is_what_random_steps_drift():
 
 
 def test_what_odometry_rules_out():
-    i, j = np.array([25, 25]), np.array([11, 0])
-    centre = np.array([1.0, 0.0])
-    np.testing.assert_array_equal(plausible(i, j, PATH, centre, 1.5, STEPS, 3.0), [True, False])
-    assert plausible(i, j, PATH, centre, 1.5, WheelErrors(translation=1.0).step_covariance(PATH), 3.0).all()
+    i, j, facing = np.array([25, 25]), np.array([11, 0]), np.array([True, True])
+    view = np.array([1.0, 0.0]), 1.5
+    np.testing.assert_array_equal(plausible(i, j, facing, PATH, *view, STEPS, 3.0), [True, False])
+    loose = WheelErrors(translation=1.0).step_covariance(PATH)
+    assert plausible(i, j, facing, PATH, *view, loose, 3.0).all()
+    # The same places, but claimed to have been seen in the same direction.
+    assert not plausible(i, j, ~facing, PATH, *view, loose, 3.0).any()
+    lost = WheelErrors(translation=1.0, heading_deg_per_sqrt_m=60.0).step_covariance(PATH)
+    assert plausible(i, j, ~facing, PATH, *view, lost, 3.0).all()
 
 
 @pytest.mark.parametrize("spacing_m", [0.3, 1.0])
