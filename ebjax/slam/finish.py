@@ -25,9 +25,12 @@ from ebjax.slam.engine import Engine
 from ebjax.slam.lean import Asked, By, Lean, image_level, shown_by_depth, shown_by_the_floor, used
 from ebjax.slam.lens_check import lens_warning
 from ebjax.slam.look import Views
+from ebjax.slam.medians import looked_through
+from ebjax.slam.mirrored import says
 from ebjax.slam.path import path_of_motion, path_of_wheels
 from ebjax.slam.recall import Alike
 from ebjax.slam.run import Run
+from ebjax.slam.store import InMemory
 from ebjax.views.run_view import remounted_view
 
 LOOK_AGAIN_DEG = 0.1
@@ -36,6 +39,8 @@ MUCH_DEG = 0.5
 """A tilt that was off by more may be a lens that bends."""
 MANY, FEW_AGREE, OFTEN = 60, 0.4, 0.15
 """Of so many matches of two successive views less than that share agrees, in more than this share of all such pairs."""
+MEDIANS = "closures are those of the medians of neighbouring views, which show the floor alone"
+WITHOUT_MAP = "without --map, closures are also looked for on the medians of neighbouring views"
 SAMPLE = 64
 """Keyframes whose depth says how high the camera is."""
 Again = Callable[[Engine, Camera, Lean | None], Engine]
@@ -87,7 +92,32 @@ def finish(engine: Engine, again: Again) -> Run:
         engine = moved.engine
     again_s = engine.seconds.get("frames", 0.0) - driven_s  # counted already
     engine.seconds["motion"] = time.perf_counter() - begun - again_s
-    return concluded(engine, moved)
+    run = concluded(engine, moved)
+    closed, doubtful = run.kept.any() or run.earlier.closures, moved is not None and suspicious(moved.motion)
+    return through_medians(engine, moved, run) if doubtful or not closed else run
+
+
+def through_medians(engine: Engine, moved: Moved | None, run: Run) -> Run:
+    """The run by the medians of neighbouring views, where its floor mirrors the room and they show more closures.
+
+    Steps from view to view follow what is mirrored, so the wheels alone say the path, where there are any.
+
+    Args:
+      engine: after its last frame.
+      moved: how the robot moved.
+      run: what came of it.
+    """
+    mirrored = says(run)
+    if mirrored is None or engine.start:
+        return dataclasses.replace(run, mirrored=mirrored)
+    # A map keeps what was seen; medians are no views that a later run could be compared with.
+    if not isinstance(engine.store.store, InMemory):
+        return dataclasses.replace(run, mirrored=f"{mirrored}; {WITHOUT_MAP}")
+    moved = None if engine.follower is None else moved
+    clearer = concluded(looked_through(engine, concluded(engine, moved)), moved)
+    if clearer.kept.sum() <= run.kept.sum():
+        return dataclasses.replace(run, mirrored=mirrored)
+    return dataclasses.replace(clearer, mirrored=f"{mirrored}; {MEDIANS}")
 
 
 def why_too_few(engine: Engine, read: int) -> str:

@@ -6,7 +6,7 @@ from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, UInt8
 from scipy.spatial import cKDTree
 
 from ebjax.features.landmarks import Landmarks
@@ -33,7 +33,27 @@ def look_again(kept: Arrays, eyes: Eyes, place: Callable[[Kept], Place]) -> dict
     Raises:
       ValueError: a picture cannot be decoded.
     """
-    described = jax.tree.map(np.asarray, eyes.describe_view(view_of(kept), floor_of(kept)))
+    pictures = {name: kept[name] for name in PICTURES}
+    return pictures | described_again(view_of(kept), floor_of(kept), kept, eyes, place)
+
+
+def described_again(
+    shown: UInt8[np.ndarray, "h w 3"],
+    floor: Bool[np.ndarray, "h w"],
+    kept: Arrays,
+    eyes: Eyes,
+    place: Callable[[Kept], Place],
+) -> dict[str, np.ndarray]:
+    """The features and place of another picture of the floor that a keyframe saw.
+
+    Args:
+      shown: RGB.
+      floor: what of it is floor.
+      kept: features of the keyframe, with their depths.
+      eyes: as of `look_again`.
+      place: likewise.
+    """
+    described = jax.tree.map(np.asarray, eyes.describe_view(shown, floor))
 
     def with_depth(landmarks: Landmarks) -> Landmarks:
         range_m: Any = range_again(np.asarray(landmarks.features.keypoints), kept, eyes.view, eyes.camera)
@@ -41,8 +61,7 @@ def look_again(kept: Arrays, eyes: Eyes, place: Callable[[Kept], Place]) -> dict
 
     turned = None if described.turned is None else with_depth(described.turned)
     described = dataclasses.replace(described, landmarks=with_depth(described.landmarks), turned=turned)
-    pictures = {name: kept[name] for name in PICTURES}
-    return pictures | packed_features(described) | packed_place(place(described.place))
+    return packed_features(described) | packed_place(place(described.place))
 
 
 def range_again(

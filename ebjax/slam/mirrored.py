@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
+from ebjax.geometry.planar import between, matrix
 from ebjax.slam.run import Run
 from ebjax.views.run_view import RunView
 
@@ -17,6 +18,8 @@ STEPS = 40
 """So many are looked at, spread over the run."""
 NEAR_PX, ROUND_PX = 10.0, 2.0
 """Views are compared by how they differ from their surroundings, blurred so that a step may be off by a little."""
+NOISE = 5.0
+"""Grey levels: contrast below is noise, and stays small."""
 ALIKE = 0.4
 """Views as they stand agree at least so well where they mirror a room; a wrong mount makes both agree badly."""
 LEAST_PX, MOST = 5.0, 0.4
@@ -43,7 +46,9 @@ def agreement(
       None where hardly any floor is in both.
     """
     height, width = floors[0].shape
-    first, second = (_detail(view, floor) for view, floor in zip(views, floors, strict=True))
+    first, second = (
+        cv2.GaussianBlur(detail(view, floor), (0, 0), ROUND_PX) for view, floor in zip(views, floors, strict=True)
+    )
     moved = cv2.warpPerspective(first, second_from_first, (width, height))
     there = cv2.warpPerspective(floors[0].astype(np.float32), second_from_first, (width, height)) > 0.99
     both = there & floors[0] & floors[1]
@@ -63,8 +68,7 @@ def mirroring(view: RunView, poses: Float[np.ndarray, "N 3"], look: Look) -> tup
     floor_from_view = np.asarray(view.floor_from_view, np.float64)
     (height, width), found = view.size, []
     for k in np.unique(np.linspace(0, max(len(poses) - 2, 0), STEPS).round().astype(int)).tolist()[: len(poses) - 1]:
-        base = np.linalg.inv(_planar(poses[k + 1])) @ _planar(poses[k])
-        step = np.linalg.inv(floor_from_view) @ base @ floor_from_view
+        step = np.linalg.inv(floor_from_view) @ matrix(between(poses[k + 1], poses[k])) @ floor_from_view
         middle = np.array([(width - 1) / 2, (height - 1) / 2, 1.0])
         there = step @ middle
         if LEAST_PX <= np.linalg.norm(there[:2] / there[2] - middle[:2]) <= MOST * min(view.size):
@@ -89,13 +93,8 @@ def told(found: tuple[float, float] | None) -> str | None:
     return SAID.format(on_floor=found[0], with_robot=found[1])
 
 
-def _planar(pose: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
-    c, s = np.cos(pose[2]), np.sin(pose[2])
-    return np.array([[c, -s, pose[0]], [s, c, pose[1]], [0.0, 0.0, 1.0]])
-
-
-def _detail(view: UInt8[np.ndarray, "h w 3"], floor: Bool[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
-    """What stands out from its surroundings, over how much they vary."""
+def detail(view: UInt8[np.ndarray, "h w 3"], floor: Bool[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+    """How much a view's pixels stand out from their surroundings, in standard deviations of these."""
     grey, seen = cv2.cvtColor(view, cv2.COLOR_RGB2GRAY).astype(np.float32), floor.astype(np.float32)
 
     def around(values: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
@@ -103,7 +102,7 @@ def _detail(view: UInt8[np.ndarray, "h w 3"], floor: Bool[np.ndarray, "h w"]) ->
 
     weight = np.maximum(around(seen), 1e-3)
     apart = (grey - around(grey * seen) / weight) * seen
-    return cv2.GaussianBlur(apart / np.sqrt(around(apart**2) / weight + 25.0), (0, 0), ROUND_PX)
+    return np.clip(apart / np.sqrt(around(apart**2) / weight + NOISE**2), -4, 4)
 
 
 def _correlation(a: Float[np.ndarray, "N"], b: Float[np.ndarray, "N"]) -> float:

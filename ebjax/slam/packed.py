@@ -28,13 +28,19 @@ FEATURES, TURNED = "features", "turned"
 
 def packed(one: Described) -> dict[str, np.ndarray]:
     """One described frame, place apart."""
-    view, floor = np.asarray(one.view), np.asarray(one.floor)
-    kept = {
+    pictures = (np.asarray(part) for part in (one.view, one.landmarks.grey, one.floor))
+    return packed_pictures(*pictures) | packed_features(one)
+
+
+def packed_pictures(
+    view: UInt8[np.ndarray, "h w 3"], grey: UInt8[np.ndarray, "h w"], floor: Bool[np.ndarray, "h w"]
+) -> dict[str, np.ndarray]:
+    """The floor view, RGB and grey, and what of it is floor."""
+    return {
         "view": _encoded(".jpg", view[..., ::-1], cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY),
-        "grey": _encoded(".png", np.asarray(one.landmarks.grey), cv2.IMWRITE_PNG_COMPRESSION, PNG_COMPRESSION),
+        "grey": _encoded(".png", grey, cv2.IMWRITE_PNG_COMPRESSION, PNG_COMPRESSION),
         "floor": _encoded(".png", floor.astype(np.uint8) * 255, cv2.IMWRITE_PNG_BILEVEL, 1),
     }
-    return kept | packed_features(one)
 
 
 def packed_features(one: Described) -> dict[str, np.ndarray]:

@@ -67,6 +67,7 @@ class Run:
       earlier: of the map it was driven in.
       lean: how the robot leans, where something says so.
       followed: without wheels, how many frames the floor showed to follow on the one before, and of how many.
+      mirrored: a sentence where no closure was found on the views, as the floor mirrors the room.
     """
 
     keyframes: Int[np.ndarray, " N"]
@@ -86,6 +87,7 @@ class Run:
     earlier: Earlier
     lean: Lean | None = None
     followed: tuple[int, int] | None = None
+    mirrored: str | None = None
 
     def __repr__(self) -> str:
         kept = self.kept

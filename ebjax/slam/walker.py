@@ -79,7 +79,7 @@ class Walker:
         self.view_of = view if callable(view) else lambda camera: view or default_view(camera)
         self.view = self.view_of(camera)
         self.eyes = Eyes(camera, self.view, chosen, place)
-        self._place = placing(self.config.descriptor, self.config.weights)
+        self.place = placing(self.config.descriptor, self.config.weights)
         self.store = WithNewest(InMemory() if store is None else store)
         self.looked = self._looked(self.store)
         self.frames = Table(stamp_s=float, odom=(float, (3,)), row=int)
@@ -187,7 +187,7 @@ class Walker:
         level = used(self.lean)
         described = self.eyes.describe(frame.rgb, frame.depth_m, None if level is None else level[number])
         described = jax.tree.map(np.asarray, described)
-        return packed(described) | packed_place(self._place(described.place))
+        return packed(described) | packed_place(self.place(described.place))
 
     def _last_keyframe(self) -> int:
         return int(self.keyframes.frame[-1]) if len(self.keyframes) > self.start else -1

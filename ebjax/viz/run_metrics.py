@@ -9,7 +9,6 @@ from jaxtyping import Float
 from ebjax.evaluation.run import closure_errors, closure_summary, drift, reason_counts, trajectory_errors
 from ebjax.io.sequence import Sequence
 from ebjax.places.recall import judged_claims, precision_100
-from ebjax.slam.mirrored import says
 from ebjax.slam.run import Run
 from ebjax.slam.why import why_nothing
 from ebjax.slam.world import planar
@@ -40,7 +39,7 @@ def run_metrics(sequence: Sequence, broken: Mapping[str, str], result: Run) -> d
         "corrected_by_m": round(float(np.linalg.norm((wheels - result.poses)[:, :2], axis=1).max()), 4),
         "nothing_kept": None if kept.any() or joined else why_nothing(result.reasons, len(candidates.i)),
         "best_refused": None if kept.any() or joined else best_refused(sequence, result),
-        "mirrored": None if kept.any() or joined else says(result),
+        "mirrored": result.mirrored,
         "map": None
         if not result.earlier.count
         else {"keyframes": result.earlier.count, "closures": joined, "in_map": result.earlier.in_map},
@@ -142,7 +141,9 @@ def summary_lines(metrics: Mapping[str, Any]) -> list[str]:
         lines.append(f"map: {there['closures']} closures to its {there['keyframes']} keyframes; the run is {where}")
     if metrics["nothing_kept"]:
         lines.append(metrics["nothing_kept"])
-        lines += filter(None, (metrics["mirrored"], metrics["best_refused"]))
+        lines += [metrics["best_refused"]] if metrics["best_refused"] else []
+    if metrics["mirrored"]:
+        lines.append(metrics["mirrored"])
     if truth := metrics.get("closures_against_truth"):
         lines.append(
             f"closures within 5 cm and 1 degree of the truth: {truth['within_5cm_1deg']} of {truth['checked']}; "
