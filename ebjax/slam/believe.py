@@ -25,6 +25,7 @@ from ebjax.slam.walked import Walked
 
 KEPT = "kept"
 THINNED = "a better closure is near on the path"
+OUTVOTED = "contradicts the other closures"
 CONTRADICTED = "contradicts the corrected path"
 GROUP = ROOM // 2
 """Closures that are compared with each other, at least; the last of a path are up to twice as many."""
@@ -125,7 +126,7 @@ class Belief:
             group = alive[GROUP * number : None if number == many - 1 else GROUP * (number + 1)]
             agree = compared.agree(number, group, candidates, path)
             agreed = largest_clique(agree, candidates.rows(group).quality.astype(float))
-            self._say(group[~agreed], "contradicts the other closures")
+            self._say(group[~agreed], OUTVOTED)
             group = group[agreed]
             supported = min(len(np.unique(candidates.i[group])), len(np.unique(candidates.j[group])))
             enough = supported >= self.config.min_agreeing

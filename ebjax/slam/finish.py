@@ -20,6 +20,7 @@ from ebjax.odometry.motion import (
     motion_of_nodding,
     motion_with_closures,
 )
+from ebjax.slam.believe import CONTRADICTED, OUTVOTED
 from ebjax.slam.close import close
 from ebjax.slam.engine import Engine
 from ebjax.slam.lean import Asked, By, Lean, image_level, shown_by_depth, shown_by_the_floor, used
@@ -100,7 +101,9 @@ def finish(engine: Engine, again: Again) -> Run:
 def through_medians(engine: Engine, moved: Moved | None, run: Run) -> Run:
     """The run by the medians of neighbouring views, where its floor mirrors the room and they show more closures.
 
-    Steps from view to view follow what is mirrored, so the wheels alone say the path, where there are any.
+    Steps from view to view follow what is mirrored, so the wheels alone say the path, where there are any. Few matches
+    of medians agree; on a floor that repeats wrong closures have as many, and some of them agree by chance. So the kept
+    ones must be more than those that contradict them.
 
     Args:
       engine: after its last frame.
@@ -115,7 +118,8 @@ def through_medians(engine: Engine, moved: Moved | None, run: Run) -> Run:
         return dataclasses.replace(run, mirrored=f"{mirrored}; {WITHOUT_MAP}")
     moved = None if engine.follower is None else moved
     clearer = concluded(looked_through(engine, concluded(engine, moved)), moved)
-    if clearer.kept.sum() <= run.kept.sum():
+    wrong = sum(reason in (OUTVOTED, CONTRADICTED) for reason in clearer.reasons)
+    if clearer.kept.sum() <= max(run.kept.sum(), wrong):
         return dataclasses.replace(run, mirrored=mirrored)
     return dataclasses.replace(clearer, mirrored=f"{mirrored}; {MEDIANS}")
 
