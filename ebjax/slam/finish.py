@@ -15,24 +15,15 @@ from ebjax.geometry.camera import Camera
 from ebjax.odometry.motion import (
     Keyframes,
     Motion,
-    MotionConfig,
     fused_motion,
-    motion_of_nodding,
-    motion_with_closures,
 )
-from ebjax.slam.believe import CONTRADICTED, OUTVOTED
-from ebjax.slam.close import close
+from ebjax.slam.conclude import Moved, concluded, motion_config
 from ebjax.slam.engine import Engine
 from ebjax.slam.lean import Asked, By, Lean, image_level, shown_by_depth, shown_by_the_floor, used
 from ebjax.slam.lens_check import lens_warning
 from ebjax.slam.look import Views
-from ebjax.slam.medians import looked_through
-from ebjax.slam.mirrored import says
-from ebjax.slam.path import path_of_motion, path_of_wheels
-from ebjax.slam.recall import Alike
+from ebjax.slam.polished import through_medians
 from ebjax.slam.run import Run
-from ebjax.slam.store import InMemory
-from ebjax.views.run_view import remounted_view
 
 LOOK_AGAIN_DEG = 0.1
 """A tilt that was off by more shows the floor bent: the images are looked at again under the right one."""
@@ -40,36 +31,10 @@ MUCH_DEG = 0.5
 """A tilt that was off by more may be a lens that bends."""
 MANY, FEW_AGREE, OFTEN = 60, 0.4, 0.15
 """Of so many matches of two successive views less than that share agrees, in more than this share of all such pairs."""
-MEDIANS = "closures are those of the medians of neighbouring views, which show the floor alone"
-WITHOUT_MAP = "without --map, closures are also looked for on the medians of neighbouring views"
 SAMPLE = 64
 """Keyframes whose depth says how high the camera is."""
 Again = Callable[[Engine, Camera, Lean | None], Engine]
 """(engine, camera, lean) -> an engine through which the same run was driven as that camera, leaning so, sees it."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Moved:
-    """How the robot moved: an engine at its end, what is known of its keyframes, their motion, and the way.
-
-    Attributes:
-      engine: whose keyframes they are.
-      given: what is known of them without the motion.
-      motion: see there.
-      way: wheels, or the floor followed, at all frames.
-    """
-
-    engine: Engine
-    given: Keyframes
-    motion: Motion
-    way: Float[np.ndarray, "F 3"]
-
-
-def motion_config(engine: Engine) -> MotionConfig:
-    """What of the settings the motion needs."""
-    config, recording = engine.config, engine.recording
-    timed = recording is not None and recording.odometry_at is not None
-    return MotionConfig(config.tolerance_m, config.mount.refine, timed, config.odometry)
 
 
 def finish(engine: Engine, again: Again) -> Run:
@@ -96,32 +61,6 @@ def finish(engine: Engine, again: Again) -> Run:
     run = concluded(engine, moved)
     closed, doubtful = run.kept.any() or run.earlier.closures, moved is not None and suspicious(moved.motion)
     return through_medians(engine, moved, run) if doubtful or not closed else run
-
-
-def through_medians(engine: Engine, moved: Moved | None, run: Run) -> Run:
-    """The run by the medians of neighbouring views, where its floor mirrors the room and they show more closures.
-
-    Steps from view to view follow what is mirrored, so the wheels alone say the path, where there are any. Few matches
-    of medians agree; on a floor that repeats wrong closures have as many, and some of them agree by chance. So the kept
-    ones must be more than those that contradict them.
-
-    Args:
-      engine: after its last frame.
-      moved: how the robot moved.
-      run: what came of it.
-    """
-    mirrored = says(run)
-    if mirrored is None or engine.start:
-        return dataclasses.replace(run, mirrored=mirrored)
-    # A map keeps what was seen; medians are no views that a later run could be compared with.
-    if not isinstance(engine.store.store, InMemory):
-        return dataclasses.replace(run, mirrored=f"{mirrored}; {WITHOUT_MAP}")
-    moved = None if engine.follower is None else moved
-    clearer = concluded(looked_through(engine, concluded(engine, moved)), moved)
-    wrong = sum(reason in (OUTVOTED, CONTRADICTED) for reason in clearer.reasons)
-    if clearer.kept.sum() <= max(run.kept.sum(), wrong):
-        return dataclasses.replace(run, mirrored=mirrored)
-    return dataclasses.replace(clearer, mirrored=f"{mirrored}; {MEDIANS}")
 
 
 def why_too_few(engine: Engine, read: int) -> str:
@@ -206,56 +145,6 @@ def moved_by(engine: Engine) -> Moved:
     if motion.offset.offset_s and at is not None:
         way = at(motion.offset.offset_s)
     return Moved(engine, given, motion, way)
-
-
-def concluded(engine: Engine, moved: Moved | None) -> Run:
-    """The closures that the whole run believes, and what they make of the path."""
-    begun = time.perf_counter()
-    config, frames, start, every = engine.config, engine.numbers, engine.start, engine.measured()
-    own = every.j >= start
-    rows = every.rows(np.flatnonzero(own))
-    rows = dataclasses.replace(rows, i=rows.i - start, j=rows.j - start)
-    closures = engine.looked.pairs(rows.i, rows.j, rows.opposing, since=start)
-    if moved is None:
-        camera, view, motion, trust_depth = engine.camera, engine.view, None, False
-        path = path_of_wheels(engine.frames.odom, config.odometry)
-    else:
-        motion, steps = moved.motion, motion_config(engine)
-        if motion.camera is not engine.camera:
-            closures = dataclasses.replace(closures, settled=None)
-        motion = motion_with_closures(motion, moved.given, closures, steps)
-        if engine.lean is not None and engine.lean.used and engine.lean.by != "odometry" and closures.believed.any():
-            motion, closures = motion_of_nodding(motion, moved.given, closures, steps)
-        if motion.camera is not engine.camera:
-            closures = dataclasses.replace(closures, settled=None)
-        camera, view, trust_depth = motion.camera, remounted_view(engine.view, motion.camera), motion.trust_depth
-        path = path_of_motion(motion, moved.way)
-    i_from_j, covariance, by_depth = closures.measured(camera, config.tolerance_m, trust_depth)
-    every = dataclasses.replace(every, i_from_j=every.i_from_j.copy(), covariance=every.covariance.copy())
-    every.i_from_j[own], every.covariance[own] = i_from_j, covariance
-    engine.seconds["believe"] = time.perf_counter() - begun
-    closed = close(engine, path, every)
-    candidates = dataclasses.replace(rows, i=frames[rows.i], j=frames[rows.j], i_from_j=i_from_j, covariance=covariance)
-    follower, firsts = engine.follower, engine.firsts
-    return Run(
-        keyframes=frames,
-        looked=engine.looked,
-        camera=camera,
-        view=view,
-        motion=motion,
-        firsts=Alike(*(getattr(firsts, name)[start:] for name in ("j", "opposing", "distance"))),
-        candidates=candidates,
-        by_depth=by_depth,
-        reasons=[reason for reason, mine in zip(closed.earlier.reasons, own, strict=True) if mine],
-        path=path,
-        graph=closed.graph,
-        solution=closed.solution,
-        poses=closed.poses,
-        seconds=engine.seconds,
-        lean=engine.lean,
-        earlier=closed.earlier,
-        followed=None if follower is None else (sum(follower.good), len(follower.good)),
-    )
 
 
 def nodding(engine: Engine, asked: Asked) -> Lean | None:
