@@ -1,6 +1,7 @@
 """The end of a run whose floor mirrors the room: closures by medians of neighbouring views, the path by the wheels."""
 
 import dataclasses
+import time
 from typing import Literal
 
 import numpy as np
@@ -44,7 +45,10 @@ def through_medians(engine: Engine, moved: Moved | None, run: Run) -> Run:
         frames = engine.frames
         wheels, moved = turning_as_measured(frames.odom, frames.stamp_s, moved.motion.wheels), None
         plain, said = concluded(engine, moved, wheels), f"{mirrored}; {BY_WHEELS}"
-    clearer = concluded(looked_through(engine, plain), moved, wheels)
+    begun = time.perf_counter()
+    another = looked_through(engine, plain)
+    engine.seconds["medians"] = time.perf_counter() - begun
+    clearer = concluded(another, moved, wheels)
     wrong = sum(reason in (OUTVOTED, CONTRADICTED) for reason in clearer.reasons)
     views, by_wheels, medians = (int(one.kept.sum()) for one in (run, plain, clearer))
     best = best_of(views, by_wheels, medians, wrong)

@@ -24,6 +24,7 @@ FILES = {
 STAGES = {
     "frames": "the frames one by one",
     "motion": "how the robot moved, thought over",
+    "medians": "the run once more, by medians of its views",
     "believe": "which closures to believe",
     "pose graph": "the corrected path",
 }
