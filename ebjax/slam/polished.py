@@ -35,7 +35,7 @@ def through_medians(engine: Engine, moved: Moved | None, run: Run) -> Run:
       run: what came of it.
     """
     mirrored = says(run)
-    if mirrored is None or engine.start:
+    if mirrored is None or engine.start or engine.eyes.descriptor.whole_image:
         return dataclasses.replace(run, mirrored=mirrored)
     # A map keeps what was seen; medians are no views that a later run could be compared with.
     if not isinstance(engine.store.store, InMemory):

@@ -67,7 +67,7 @@ class Run:
       earlier: of the map it was driven in.
       lean: how the robot leans, where something says so.
       followed: without wheels, how many frames the floor showed to follow on the one before, and of how many.
-      mirrored: a sentence where no closure was found on the views, as the floor mirrors the room.
+      mirrored: where the floor was seen to mirror the room, a sentence about it and what was done.
     """
 
     keyframes: Int[np.ndarray, " N"]

@@ -106,19 +106,22 @@ def answer(metrics: Mapping[str, Any]) -> str:
     kept, joined = metrics["closures_kept"], (metrics.get("map") or {}).get("closures", 0)
     if not kept and not joined:
         alone = "the odometry" if metrics.get("motion") is None else "what the steps and the odometry say"
+        if metrics["mirrored"]:
+            alone = "what images and odometry say"
         why = " ".join(
             map(sentence, filter(None, (metrics[key] for key in ("nothing_kept", "mirrored", "best_refused"))))
         )
         error = metrics.get("ate_rmse_m")
         off = f", {error['after']:.4f} m off the truth (root mean square)" if error else ""
         return f"{why} The trajectory is {alone}{off}."
+    floor = f" {sentence(metrics['mirrored'])}" if metrics["mirrored"] else ""
     found = f"{_count(kept)}, {metrics['closures_opposing']} of them between views from opposite sides"
     if joined:
         found += f", and {_count(joined)} to earlier runs in its map"
     if error := metrics.get("ate_rmse_m"):
         off = f"{error['before']:.4f} m off the truth (root mean square), and is {error['after']:.4f} m off now"
-        return f"The path was {off}, with {found}."
-    return f"The path was corrected by up to {metrics['corrected_by_m']:.2f} m, with {found}."
+        return f"The path was {off}, with {found}.{floor}"
+    return f"The path was corrected by up to {metrics['corrected_by_m']:.2f} m, with {found}.{floor}"
 
 
 def _count(closures: int) -> str:

@@ -68,6 +68,14 @@ def test_where_nothing_is_kept_it_says_why_and_what_the_best_lacked():
     assert "Loop closures" not in titles(page(nobody, closures=()))
 
 
+def test_a_floor_that_mirrors_is_named():
+    mirrored = "the floor mirrors the room; closures are those of medians"
+    said = answer(METRICS | {"mirrored": mirrored})
+    assert said.endswith("opposite sides. The floor mirrors the room; closures are those of medians.")
+    said = answer(NOTHING | {"mirrored": mirrored, "ate_rmse_m": None})
+    assert said.endswith("12 inliers, fewer than 20. The trajectory is what images and odometry say.")
+
+
 def test_the_page_opens_with_the_path_and_explains_its_terms():
     made = page(METRICS, refused=(FIGURE,))
     assert made["figures"][0]["png"] == b"path" and made["text"] == answer(METRICS)
