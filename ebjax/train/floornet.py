@@ -33,7 +33,8 @@ from ebjax.train.losses import (
     local_loss,
     without_common,
 )
-from ebjax.train.views import Pairs, Wild, sample_pairs
+from ebjax.train.photograph import Wild
+from ebjax.train.views import Pairs, sample_pairs
 
 WEIGHTS = "floornet.safetensors"
 SEEN_SHARE = 0.8

@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool, Float, Key
 from ebjax.geometry.pytree import pytree
 from ebjax.geometry.warp import sample_bilinear
 from ebjax.train.mirror import Room, draw_room, mirrored
+from ebjax.train.photograph import PATCH_SHARE, TAME, Wild, around, patched, photograph, uniform
 from ebjax.train.processes import map_rows
 
 PITCH_PX = 166
@@ -26,12 +27,6 @@ TURN_DEG, SCALE, SHIFT, TILT = 8.0, 0.14, 0.18, 0.06
 """Of the second view against the first: degrees, shares of scale and side, change of scale across the view."""
 ELEVATION = (0.3, 0.9)
 """Horizontal part of the direction from which a pile is seen."""
-GAMMA, GAIN = (0.5, 1.8), (0.6, 1.5)
-SHADOW, SHADOW_EDGE_PX = (0.25, 0.9), (0.5, 20.0)
-GLARE, GLARE_SIDE = (0.1, 1.2), (0.04, 0.25)
-BLUR_PX, FAR_BLUR_PX = (0.2, 2.2), (0.3, 3.0)
-NOISE, ROW_NOISE = (0.002, 0.03), (0.0003, 0.006)
-"""Of pixels and of whole rows, as those of a rolling shutter under lamps."""
 PIXEL_M = 0.01
 FOOT_M, HEIGHT_M = (0.2, 0.9), (0.25, 1.3)
 """From the camera's foot to the near edge; of the camera."""
@@ -40,22 +35,6 @@ ALIKE = 0.5
 PALE = 0.4
 """Share of floors whose pattern is fainter than it was painted, down to CONTRAST."""
 CONTRAST = 0.15
-PATCH_SHARE, HIDDEN_SHARE, JPEG_SHARE = 0.3, 0.2, 0.6
-"""Of views with a wet or dusty area, with one that was painted over, and of such as were kept as JPEG."""
-JPEG_STEP = (0.2, 1.2)
-"""Times JPEG_TABLE: qualities of about 90 to 40."""
-JPEG_TABLE = 16.0 + 12.0 * np.add.outer(np.arange(8), np.arange(8))
-"""Rises as the table of ITU-T T.81, annex K, does: steps of 16 to 184 of 255."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Wild:
-    """How often the views are as hard as real floors; 0 is none of it."""
-
-    mirrors: float = 0.0
-    """Share of floors that mirror the room."""
-    rest: float = 0.0
-    """Share, of the shares that are set, of pale floors, wet, dusty and painted over areas, JPEG and noise of rows."""
 
 
 @jax.tree_util.register_dataclass
@@ -68,14 +47,6 @@ class Pairs:
     seen_first: Float[Array, "S S"]
     seen_second: Float[Array, "S S"]
     second_from_first: Float[Array, "N 3 3"]
-
-
-def _uniform(key: Key[Array, ""], bounds: tuple[float, float], shape: tuple[int, ...] = ()) -> Float[Array, "*s"]:
-    return jax.random.uniform(key, shape, jnp.float32, *bounds)
-
-
-def _around(key: Key[Array, ""], most: float, shape: tuple[int, ...] = ()) -> Float[Array, "*s"]:
-    return _uniform(key, (-most, most), shape)
 
 
 def _homography(
@@ -97,16 +68,10 @@ def _homography(
 def _trapezoid(side: int, *, key: Key[Array, ""]) -> Float[Array, "S S"]:
     """What a camera sees of the square before it: at the near edge (the last row) less than at the far one."""
     near_key, reach_key = jax.random.split(key)
-    near, reach = _uniform(near_key, (0.15, 0.5)), _uniform(reach_key, (0.05, 0.8))
+    near, reach = uniform(near_key, (0.15, 0.5)), uniform(reach_key, (0.05, 0.8))
     ticks = (jnp.arange(side, dtype=jnp.float32) + 0.5) / side
     half = near + (0.51 - near) * jnp.minimum((1 - ticks) / reach, 1)
     return (jnp.abs(ticks - 0.5)[None, :] <= half[:, None]).astype(jnp.float32)
-
-
-def _blur_matrix(side: int, sigma: Float[Array, ""]) -> Float[Array, "S S"]:
-    offset = jnp.arange(side, dtype=jnp.float32)
-    kernel = jnp.exp(-0.5 * ((offset[:, None] - offset[None, :]) / sigma) ** 2)
-    return kernel / kernel.sum(1, keepdims=True)
 
 
 @pytree
@@ -125,8 +90,8 @@ class Floor:
 
 def _draw_floor(wild: Wild, *, key: Key[Array, ""]) -> Floor:
     room_key, share_key, contrast_key, stand_key = jax.random.split(key, 4)
-    pale = _uniform(share_key, (0.0, 1.0)) < wild.rest * PALE
-    faint = jnp.exp(_uniform(contrast_key, (float(np.log(CONTRAST)), 0.0)))
+    pale = uniform(share_key, (0.0, 1.0)) < wild.rest * PALE
+    faint = jnp.exp(uniform(contrast_key, (float(np.log(CONTRAST)), 0.0)))
     draw = jax.random.uniform(stand_key, (9,), jnp.float32)
     room = draw_room(wild.mirrors, key=room_key)
     return Floor(room, jnp.where(pale, faint, 1), draw[:2], draw[2:8].reshape(2, 3), draw[8] < ALIKE)
@@ -145,107 +110,13 @@ def _reflection(floor: Floor, side: int, way: int, *, key: Key[Array, ""]) -> Fl
     return mirrored(floor.room, (x, y), height_m, 0.5 * (heading - 0.5), 12 * along)
 
 
-def _patched(linear: Float[Array, "S S"], share: float, *, key: Key[Array, ""]) -> Float[Array, "S S"]:
-    """Wet areas, dark, or dusty ones, paler and fainter, with soft ragged edges."""
-    draw = jax.random.uniform(key, (15,), jnp.float32)
-    ticks = (jnp.arange(len(linear), dtype=jnp.float32) + 0.5) / len(linear) - 0.5
-    frequency, phase = 14 * (draw[:8].reshape(2, 4) - 0.5), 2 * jnp.pi * draw[8:12]
-    down, across = (2 * jnp.pi * jnp.outer(one, ticks) for one in frequency)
-    waves = down[:, :, None] + across[:, None, :] + phase[:, None, None]
-    area = jax.nn.sigmoid((jnp.cos(waves).mean(0) - 0.25) / (0.02 + 0.2 * draw[12]))
-    mean = linear.mean()
-    changed = jnp.where(draw[13] < 0.5, linear * 0.6, 0.7 * linear + 0.3 * 1.2 * mean)
-    return jnp.where(draw[14] < share, linear + area * (changed - linear), linear)
-
-
-def _painted_over(value: Float[Array, "S S"], share: float, *, key: Key[Array, ""]) -> Float[Array, "S S"]:
-    """A rectangle of one tone, where something stood."""
-    draw = jax.random.uniform(key, (6,), jnp.float32)
-    ticks = (jnp.arange(len(value), dtype=jnp.float32) + 0.5) / len(value)
-    down, across = (jnp.abs(ticks - draw[k]) < 0.05 + 0.15 * draw[2 + k] for k in (0, 1))
-    inside = down[:, None] & across[None, :]
-    tone = value.mean() * (0.7 + 0.6 * draw[5])
-    return jnp.where(inside & (draw[4] < share), tone, value)
-
-
-def _as_jpeg(value: Float[Array, "S S"], share: float, *, key: Key[Array, ""]) -> Float[Array, "S S"]:
-    """Rounds the cosine transform of blocks of 8 pixels."""
-    draw = jax.random.uniform(key, (2,), jnp.float32)
-    k = np.arange(8)
-    cosines = np.cos(np.pi * np.outer(k, 2 * k + 1) / 16) * np.where(k == 0, 0.125, 0.25)[:, None] ** 0.5
-    basis = jnp.asarray(cosines, jnp.float32)
-    cells = len(value) // 8
-    blocks = value.reshape(cells, 8, cells, 8)
-    step = jnp.asarray(JPEG_TABLE / 255, jnp.float32) * jnp.exp(
-        float(np.log(JPEG_STEP[0])) + float(np.log(JPEG_STEP[1] / JPEG_STEP[0])) * draw[0]
-    )
-    found = jnp.einsum("ku,aubv,lv->akbl", basis, blocks, basis)
-    kept = jnp.round(found / step[None, :, None, :]) * step[None, :, None, :]
-    back = jnp.einsum("ku,akbl,lv->aubv", basis, kept, basis).reshape(value.shape)
-    return jnp.where(draw[1] < share, back, value)
-
-
-def _photograph(
-    linear: Float[Array, "S S"],
-    nearness: Float[Array, " S"],
-    reflection: Float[Array, "S S"],
-    wild: Wild,
-    *,
-    key: Key[Array, ""],
-) -> Float[Array, "S S"]:
-    """Light, lens and sensor: shadow, glare, blur that grows with distance, exposure, gamma, noise, eight bits.
-
-    Args:
-      linear: reflectance.
-      nearness: of each row, 1 at the robot's feet, 0 at the far end.
-      reflection: radiance that the floor mirrors.
-      wild: how often there is what real floors have.
-      key: of everything random.
-    """
-    side = len(nearness)
-    keys = iter(jax.random.split(key, 20))
-    wild_keys = iter(jax.random.split(jax.random.fold_in(key, 1), 4))
-    ticks = (jnp.arange(side, dtype=jnp.float32) + 0.5) / side - 0.5
-    y, x = ticks[:, None], ticks[None, :]
-
-    def across() -> Float[Array, "S S"]:
-        way = _uniform(next(keys), (0.0, 2 * np.pi))
-        return jnp.cos(way) * x + jnp.sin(way) * y
-
-    edge_px = jnp.exp(_uniform(next(keys), tuple(np.log(SHADOW_EDGE_PX))))
-    covered = jax.nn.sigmoid((across() - _around(next(keys), 0.5)) * side / edge_px)
-    depth = jnp.where(_uniform(next(keys), (0.0, 1.0)) < 0.6, 1 - _uniform(next(keys), SHADOW), 0)
-    light = (1 - depth * covered) * jnp.exp(across() * _around(next(keys), 0.8))
-    spot, size = _around(next(keys), 0.5, (2,)), _uniform(next(keys), GLARE_SIDE, (2,))
-    glare = jnp.exp(-(((x - spot[0]) / size[0]) ** 2) / 2 - ((y - spot[1]) / (2 * size[1])) ** 2 / 2)
-    shine = jnp.where(_uniform(next(keys), (0.0, 1.0)) < 0.5, _uniform(next(keys), GLARE), 0)
-    gain = _uniform(next(keys), GAIN)
-    value = linear * light * gain / jnp.maximum(jnp.mean(linear), 0.02) * 0.35
-    value = value + shine * glare + gain * reflection
-    value = _painted_over(value, wild.rest * HIDDEN_SHARE, key=next(wild_keys))
-
-    def blurred(values, sigma):
-        return _blur_matrix(side, sigma[0]) @ values @ _blur_matrix(side, sigma[1]).T
-
-    near = blurred(value, _uniform(next(keys), BLUR_PX, (2,)))
-    far = blurred(value, _uniform(next(keys), FAR_BLUR_PX, (2,)))
-    value = far + (near - far) * nearness[:, None]
-    value = jnp.clip(value, 0, 1) ** (_uniform(next(keys), GAMMA) / 2)
-    noise = jnp.exp(_uniform(next(keys), tuple(np.log(NOISE))))
-    value = value + noise * jax.random.normal(next(keys), value.shape, value.dtype)
-    rows = jnp.exp(_uniform(next(wild_keys), tuple(np.log(ROW_NOISE)))) * (wild.rest > 0)
-    value = value + rows * jax.random.normal(next(wild_keys), (side, 1), value.dtype)
-    value = _as_jpeg(jnp.clip(value, 0, 1), wild.rest * JPEG_SHARE, key=next(wild_keys))
-    return jnp.round(255 * jnp.clip(value, 0, 1)) / 255
-
-
 def _pair(canvas, centre, zoom, side, floor, wild, *, key):
     keys = iter(jax.random.split(key, 12))
     wild_keys = iter(jax.random.split(jax.random.fold_in(key, 1), 4))
-    first = _homography(centre, zoom, _around(next(keys), OWN_TURN_DEG), _around(next(keys), OWN_TILT, (2,)), side)
-    moved = centre + zoom * side * _around(next(keys), SHIFT, (2,))
-    scale = zoom * (1 + _around(next(keys), SCALE))
-    second = _homography(moved, scale, _around(next(keys), TURN_DEG), _around(next(keys), TILT, (2,)), side)
+    first = _homography(centre, zoom, around(next(keys), OWN_TURN_DEG), around(next(keys), OWN_TILT, (2,)), side)
+    moved = centre + zoom * side * around(next(keys), SHIFT, (2,))
+    scale = zoom * (1 + around(next(keys), SCALE))
+    second = _homography(moved, scale, around(next(keys), TURN_DEG), around(next(keys), TILT, (2,)), side)
     ticks = jnp.arange(side, dtype=jnp.float32)
     pixels = jnp.stack([*jnp.meshgrid(ticks, ticks), jnp.ones((side, side), jnp.float32)], -1).reshape(-1, 3)
     nearness = (ticks + 0.5) / side
@@ -254,19 +125,19 @@ def _pair(canvas, centre, zoom, side, floor, wild, *, key):
         at = pixels @ homography.T
         at = jnp.clip(at[:, :2] / at[:, 2:], 0, canvas.shape[0] - 1.0)
         found = sample_bilinear(canvas, at).reshape(side, side, 3)
-        elevation = _uniform(next(keys), ELEVATION)
+        elevation = uniform(next(keys), ELEVATION)
         linear = found[..., 0] - sign * elevation * found[..., 2]
         linear = jnp.maximum(linear + (floor.contrast - 1) * (linear - linear.mean()), 0.005)
-        linear = _patched(linear, wild.rest * PATCH_SHARE, key=next(wild_keys))
+        linear = patched(linear, wild.rest * PATCH_SHARE, key=next(wild_keys))
         reflection = _reflection(floor, side, (1 - sign) // 2, key=next(wild_keys))[::sign, ::sign]
-        return _photograph(linear, nearness[::sign], reflection, wild, key=next(keys))
+        return photograph(linear, nearness[::sign], reflection, wild, key=next(keys))
 
     return seen(first, 1), seen(second, -1), jnp.linalg.inv(second) @ first
 
 
 @partial(jax.jit, static_argnames=("places", "side", "wild"))
 def sample_pairs(
-    canvases: Float[Array, "C h w 3"], places: int, side: int, wild: Wild = Wild(), *, key: Key[Array, ""]
+    canvases: Float[Array, "C h w 3"], places: int, side: int, wild: Wild = TAME, *, key: Key[Array, ""]
 ) -> Pairs:
     """Views of `side` px of random places on each canvas, canvas by canvas.
 
@@ -286,7 +157,7 @@ def sample_pairs(
         canvas, key = args
         order_key, zoom_key, pair_key = jax.random.split(key, 3)
         centres = jax.random.permutation(order_key, grid)[:places]
-        zoom = _uniform(zoom_key, ZOOM)
+        zoom = uniform(zoom_key, ZOOM)
         keys = jax.random.split(pair_key, places)
         floor = _draw_floor(wild, key=jax.random.fold_in(key, 1))
         return jax.lax.map(

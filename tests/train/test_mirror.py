@@ -5,7 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ebjax.train.mirror import Room, draw_room, mirrored
-from ebjax.train.views import Wild, _draw_floor, _reflection, sample_pairs
+from ebjax.train.photograph import Wild
+from ebjax.train.views import _draw_floor, _reflection, sample_pairs
 
 from .test_views import canvas  # noqa: F401
 
