@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int8, UInt8
 
+from ebjax.features.extractor import unturned
 from ebjax.features.verify_pairs import stacked
 from ebjax.geometry.planar import compose, inverse
 from ebjax.odometry.floor_steps import more_certain
@@ -111,7 +112,8 @@ class Engine(Walker):
         alike = self._alike(place, *comparable)
         first = (alike.j[0], alike.opposing[0], alike.distance[0]) if len(alike.j) else (-1, False, np.inf)
         self.firsts.append(j=first[0], opposing=first[1], distance=first[2])
-        chosen = worth_verifying(alike, row, path, view, config)
+        either_way = self.eyes.extractor.turn is unturned
+        chosen = worth_verifying(alike, row, path, view, config, either_way)
         others = not_ranked(chosen, row, comparable, path, view, config)
         if any(mask.any() for mask in others):
             chosen = filled(chosen, self._alike(place, *others), config.verify)

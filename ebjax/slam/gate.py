@@ -66,7 +66,7 @@ def on_floor(poses: Float[np.ndarray, "K 3"], points: Float[np.ndarray, "K 2"]) 
 def plausible(
     i: Int[np.ndarray, " K"],
     j: Int[np.ndarray, " K"],
-    opposing: Bool[np.ndarray, " K"],
+    opposing: Bool[np.ndarray, " K"] | None,
     odom_from_base: Float[np.ndarray, "N 3"],
     view_centre_m: Float[np.ndarray, "2"],
     view_extent_m: float,
@@ -82,7 +82,7 @@ def plausible(
     Args:
       i: rows of the later frames.
       j: rows of the earlier ones.
-      opposing: whether the two are claimed to face each other.
+      opposing: whether the two are claimed to face each other; None: that does not matter.
       odom_from_base: the path: x, y (m), heading (rad).
       view_centre_m: of the floor view, in base.
       view_extent_m: how far apart the centres of two views that overlap are at most.
@@ -92,6 +92,8 @@ def plausible(
     centre_i, centre_j = (on_floor(odom_from_base[k], np.broadcast_to(view_centre_m, (len(k), 2))) for k in (i, j))
     gap = np.linalg.norm(centre_i - centre_j, axis=1)
     near = gap <= view_extent_m + sigmas * drift_sigma_m(odom_from_base, steps, i, j)
+    if opposing is None:
+        return near
     turned = np.abs(wrapped(odom_from_base[i, 2] - odom_from_base[j, 2] - np.pi * opposing))
     turning = np.concatenate([np.zeros(1), np.cumsum(steps[:, 2, 2])])
     return near & (turned <= np.pi / 2 + sigmas * np.sqrt(np.maximum(turning[i] - turning[j], 0)))

@@ -41,14 +41,27 @@ def comparable_rows(
     return start + min(opposing, moved), start + opposing
 
 
-def worth_verifying(alike: Alike, row: int, path: Walked, view: RunView, config: PipelineConfig) -> Alike:
-    """The first `config.verify` of each direction that odometry does not rule out."""
+def worth_verifying(
+    alike: Alike, row: int, path: Walked, view: RunView, config: PipelineConfig, either_way: bool = False
+) -> Alike:
+    """The first `config.verify` of each direction that odometry does not rule out.
+
+    Args:
+      alike: the ranking of all.
+      row: of the keyframe.
+      path: of the keyframes.
+      view: of the run.
+      config: how many are verified, and how far odometry may err.
+      either_way: local features do not change with orientation, so that a pair that is taken to face the wrong way can
+        be verified all the same.
+    """
     i = np.full(len(alike.j), row)
     known = path.piece[alike.j] == path.piece[row]
     good = ~known
     sigmas = config.believe.odometry_sigmas
     where = path.poses, view.centre_m, view.extent_m, path.steps
-    good[known] = plausible(i[known], alike.j[known], alike.opposing[known], *where, sigmas)
+    claimed = None if either_way else alike.opposing[known]
+    good[known] = plausible(i[known], alike.j[known], claimed, *where, sigmas)
     return best_of_each_way(alike, good, config.verify)
 
 

@@ -151,6 +151,7 @@ def test_what_odometry_rules_out():
     assert plausible(i, j, facing, PATH, *view, loose, 3.0).all()
     # The same places, but claimed to have been seen in the same direction.
     assert not plausible(i, j, ~facing, PATH, *view, loose, 3.0).any()
+    np.testing.assert_array_equal(plausible(i, j, None, PATH, *view, STEPS, 3.0), [True, False])
     lost = WheelErrors(translation=1.0, heading_deg_per_sqrt_m=60.0).step_covariance(PATH)
     assert plausible(i, j, ~facing, PATH, *view, lost, 3.0).all()
 
