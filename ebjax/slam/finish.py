@@ -60,7 +60,7 @@ def finish(engine: Engine, again: Again) -> Run:
     engine.seconds["motion"] = time.perf_counter() - begun - again_s
     run = concluded(engine, moved)
     closed, doubtful = run.kept.any() or run.earlier.closures, moved is not None and suspicious(moved.motion)
-    return through_medians(engine, moved, run) if doubtful or not closed else run
+    return through_medians(engine, moved, run, doubtful) if doubtful or not closed else run
 
 
 def why_too_few(engine: Engine, read: int) -> str:

@@ -20,12 +20,13 @@ NEAR_PX, ROUND_PX = 10.0, 2.0
 """Views are compared by how they differ from their surroundings, blurred so that a step may be off by a little."""
 NOISE = 5.0
 """Grey levels: contrast below is noise, and stays small."""
-ALIKE = 0.4
-"""Views as they stand agree at least so well where they mirror a room; a wrong mount makes both agree badly."""
+ALIKE, SHARE = 0.35, 0.5
+"""Views as they stand agree at least so well where they mirror a room, and by this share of how well they do where the
+floor has moved to; a wrong mount makes both agree badly."""
 LEAST_PX, MOST = 5.0, 0.4
 """A step moves the view by so many pixels at least, and by this share of its shorter side at most."""
 SAID = (
-    "the floor mirrors the room: views agree better as they stand ({with_robot:.2f}) than where the floor has moved to "
+    "the floor mirrors the room: views agree as they stand ({with_robot:.2f}), not only where the floor has moved to "
     "({on_floor:.2f}); a camera that looks down more steeply, or a polarising filter, sees less of it"
 )
 
@@ -82,13 +83,13 @@ def mirroring(view: RunView, poses: Float[np.ndarray, "N 3"], look: Look) -> tup
 
 
 def says(run: Run) -> str | None:
-    """A sentence where the views stay with the robot more than with the floor; None where they do not."""
+    """A sentence where the views stay with the robot, not only with the floor; None where they do not."""
     return told(mirroring(run.view, run.poses[run.keyframes], lambda k: (run.seen(k), run.floor(k))))
 
 
 def told(found: tuple[float, float] | None) -> str | None:
     """The sentence for what `mirroring` found."""
-    if found is None or found[1] <= max(found[0], ALIKE):
+    if found is None or found[1] <= max(SHARE * found[0], ALIKE):
         return None
     return SAID.format(on_floor=found[0], with_robot=found[1])
 

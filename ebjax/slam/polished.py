@@ -22,17 +22,18 @@ MEDIANS = "closures are those of the medians of neighbouring views, which show t
 WITHOUT_MAP = "without --map, closures are also looked for on the medians of neighbouring views"
 
 
-def through_medians(engine: Engine, moved: Moved | None, run: Run) -> Run:
+def through_medians(engine: Engine, moved: Moved | None, run: Run, doubtful: bool) -> Run:
     """The run as it is where its floor mirrors the room: closures by the medians of neighbouring views.
 
-    Steps from view to view follow what is mirrored, so the wheels say the path, where there are any. Few matches of
-    medians agree; on a floor that repeats wrong closures have as many, and some of them agree by chance. So the kept
-    ones must be more than those that contradict them.
+    Steps from view to view follow what is mirrored. Where many of them fail, the wheels say the path, if there are any.
+    Few matches of medians agree; on a floor that repeats wrong closures have as many, and some of them agree by chance.
+    So the kept ones must be more than those that contradict them.
 
     Args:
       engine: after its last frame.
       moved: how the robot moved.
       run: what came of it.
+      doubtful: whether many of its steps fail.
     """
     mirrored = says(run)
     if mirrored is None or engine.start or engine.eyes.descriptor.whole_image:
@@ -41,7 +42,7 @@ def through_medians(engine: Engine, moved: Moved | None, run: Run) -> Run:
     if not isinstance(engine.store.store, InMemory):
         return dataclasses.replace(run, mirrored=f"{mirrored}; {WITHOUT_MAP}")
     wheels, plain, said = None, run, mirrored
-    if moved is not None and engine.follower is None:
+    if moved is not None and doubtful and engine.follower is None:
         frames = engine.frames
         wheels, moved = turning_as_measured(frames.odom, frames.stamp_s, moved.motion.wheels), None
         plain, said = concluded(engine, moved, wheels), f"{mirrored}; {BY_WHEELS}"
@@ -50,8 +51,7 @@ def through_medians(engine: Engine, moved: Moved | None, run: Run) -> Run:
     engine.seconds["medians"] = time.perf_counter() - begun
     clearer = concluded(another, moved, wheels)
     wrong = sum(reason in (OUTVOTED, CONTRADICTED) for reason in clearer.reasons)
-    views, by_wheels, medians = (int(one.kept.sum()) for one in (run, plain, clearer))
-    best = best_of(views, by_wheels, medians, wrong)
+    best = best_of(int(run.kept.sum()), int(clearer.kept.sum()), wrong)
     if best == "medians":
         return dataclasses.replace(clearer, mirrored=f"{said}; {MEDIANS}")
     if best == "wheels":
@@ -59,18 +59,17 @@ def through_medians(engine: Engine, moved: Moved | None, run: Run) -> Run:
     return dataclasses.replace(run, mirrored=mirrored)
 
 
-def best_of(views: int, wheels: int, medians: int, wrong: int) -> Literal["views", "wheels", "medians"]:
+def best_of(views: int, medians: int, wrong: int) -> Literal["views", "wheels", "medians"]:
     """By what the end of a run is told.
 
     Args:
-      views: closures kept on single views and the steps between them.
-      wheels: on the path of the wheels.
-      medians: on medians.
-      wrong: of medians, those that contradict these.
+      views: closures kept on single views: where there are some, the steps between them are as good.
+      medians: those kept on medians.
+      wrong: those on medians that contradict these.
     """
     if medians > max(views, wrong):
         return "medians"
-    return "views" if views > wheels else "wheels"
+    return "views" if views else "wheels"
 
 
 def turning_as_measured(

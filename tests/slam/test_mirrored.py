@@ -48,13 +48,15 @@ def test_a_wrong_mount_is_no_mirror():
     assert told((0.1, 0.3)) is None and told((0.1, 0.5)) is not None
 
 
+def test_streaks_along_the_way_agree_with_both():
+    assert told((0.7, 0.4)) is not None and told((0.9, 0.4)) is None and told((0.95, 0.25)) is None
+
+
 def test_a_mirror_stays_with_the_robot():
     on_floor, with_robot = found(0.8)
     assert with_robot > 0.7 and on_floor < 0.4
     said = told((on_floor, with_robot))
-    assert said.startswith(
-        f"the floor mirrors the room: views agree better as they stand ({with_robot:.2f}) than where"
-    )
+    assert said.startswith(f"the floor mirrors the room: views agree as they stand ({with_robot:.2f}), not only where")
 
 
 @pytest.mark.parametrize("changes", [{"steps": 3}, {"steps": 1}, {"step_m": 0.0}, {"step_m": 1.0}])
