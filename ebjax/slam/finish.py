@@ -12,11 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ebjax.geometry.camera import Camera
-from ebjax.odometry.motion import (
-    Keyframes,
-    Motion,
-    fused_motion,
-)
+from ebjax.odometry.motion import Keyframes, Motion, fused_motion
 from ebjax.slam.conclude import Moved, concluded, motion_config
 from ebjax.slam.engine import Engine
 from ebjax.slam.lean import Asked, By, Lean, image_level, shown_by_depth, shown_by_the_floor, used
