@@ -7,7 +7,7 @@ import io
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Shaped, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 
 from ebjax.posegraph.graph import PoseGraph
 
@@ -131,6 +131,8 @@ def matches(
       title: above the images.
       max_lines: an even choice of the inliers where there are more.
     """
+    from matplotlib.collections import LineCollection
+
     if turn_second:
         size = np.array(image_b.shape[1::-1], points_b.dtype)
         image_b, points_b = image_b[::-1, ::-1], size - 1 - points_b
@@ -148,9 +150,9 @@ def matches(
     outliers = np.flatnonzero(~inliers)[:max_lines]
     for points in (points_a, points_b + shift):
         axes.plot(*points[outliers].T, "x", color=WRONG, ms=3, mew=0.6, alpha=0.7)
-    for i in chosen:
-        ends = np.stack([points_a[i], points_b[i] + shift])
-        axes.plot(*ends.T, "-", color=_rainbow(i, len(inliers)), lw=0.7, marker=".", ms=3.5)
+    ends, colours = np.stack([points_a, points_b + shift], 1)[chosen], _rainbow(chosen, len(inliers))
+    axes.add_collection(LineCollection(list(ends), colors=colours, linewidths=0.7), autolim=False)
+    axes.scatter(*ends.reshape(-1, 2).T, s=4, c=np.repeat(colours, 2, 0), linewidths=0, zorder=3)
     axes.set(xlim=(-0.5, canvas.shape[1] - 0.5), ylim=(canvas.shape[0] - 0.5, -0.5))
     axes.set_axis_off()
     if title:
@@ -179,8 +181,8 @@ def floor_map(
     axes.imshow(image, extent=extent, interpolation="antialiased")
     if path is not None:
         axes.plot(*path.T, color=AFTER, lw=1.2, label="path")
-        for k, pair in enumerate(np.zeros((0, 2), int) if closures is None else closures):
-            axes.plot(*path[pair].T, color=LOOP, lw=0.8, marker="o", ms=2.5, label=None if k else "loop closures")
+        if closures is not None and len(closures):
+            axes.plot(*_joined(path[closures]), color=LOOP, lw=0.8, marker="o", ms=2.5, label="loop closures")
         legend_above(axes)
     axes.set(xlabel="x, m", ylabel="y, m", xlim=extent[:2], ylim=extent[2:])
     axes.set_aspect("equal")
@@ -199,12 +201,15 @@ def _draw_paths(
     if before_name in paths:
         axes.plot(*paths[before_name].T, color=BEFORE, lw=1.2, ls=DASHED, label=before_name)
     axes.plot(*paths[after_name].T, color=AFTER, lw=1.4, label=after_name)
-    for k, pair in enumerate(closures):
-        ends = paths[after_name][pair]
-        axes.plot(
-            *ends.T, color=LOOP, lw=0.9, marker="o", ms=2.5, label=None if k else f"{len(closures)} loop closures"
-        )
+    if len(closures):
+        ends = _joined(paths[after_name][closures])
+        axes.plot(*ends, color=LOOP, lw=0.9, marker="o", ms=2.5, label=f"{len(closures)} loop closures")
     axes.grid(color="#e6e8ea", lw=0.6)
+
+
+def _joined(ends: Float[np.ndarray, "K 2 2"]) -> Float[np.ndarray, "2 n"]:
+    """Pieces of line as one that is interrupted: one artist is drawn much faster than K."""
+    return np.concatenate([ends, np.full((len(ends), 1, 2), np.nan)], 1).reshape(-1, 2).T
 
 
 def _along_x(path: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "2 2"]:
@@ -224,10 +229,10 @@ def _finite(pick, *arrays: Float[np.ndarray, "..."] | None) -> float | None:
     return float(pick(values)) if len(values) else None
 
 
-def _rainbow(i: Shaped[np.ndarray, ""] | np.integer, count: int) -> tuple[float, ...]:
+def _rainbow(rows: Int[np.ndarray, " n"], count: int) -> Float[np.ndarray, "n 4"]:
     from matplotlib import colormaps
 
-    return colormaps["turbo"](0.1 + 0.8 * ((int(i) * 0.618) % 1.0 if count > 1 else 0.5))
+    return colormaps["turbo"](0.1 + 0.8 * (rows * 0.618 % 1.0 if count > 1 else np.full(len(rows), 0.5)))
 
 
 def legend_above(axes: "Axes") -> None:
@@ -247,6 +252,10 @@ def new_figure(width_in: float, height_in: float) -> "Figure":
 
 def painted(figure: "Figure") -> bytes:
     """As a PNG."""
+    if (layout := figure.get_layout_engine()) is not None:
+        # With a layout, savefig draws everything twice.
+        layout.execute(figure)
+        figure.set_layout_engine(None)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": None})
     return buffer.getvalue()
@@ -259,8 +268,8 @@ def pose_graph(graph: PoseGraph, optimised: Float[np.ndarray, "N P"]) -> bytes:
     loops = np.flatnonzero(np.abs(i - j) != 1)
     for axes, poses, name in zip(figure.subplots(1, 2), (graph.poses, optimised), ("before", "after"), strict=True):
         xy = np.asarray(poses)[:, :2] if graph.group == "se2" else np.asarray(poses)[:, 4:6]
-        ends = np.stack([xy[i[loops]], xy[j[loops]], np.full((len(loops), 2), np.nan)], 1).reshape(-1, 2)
-        axes.plot(*ends.T, color=LOOP, lw=0.6, label=f"{len(loops)} loops")
+        ends = _joined(np.stack([xy[i[loops]], xy[j[loops]]], 1))
+        axes.plot(*ends, color=LOOP, lw=0.6, label=f"{len(loops)} loops")
         axes.plot(*xy.T, color=BEFORE if name == "before" else AFTER, lw=0.9, label=f"{len(xy)} poses")
         axes.set(xlabel=f"x {name}, m", ylabel="y, m")
         axes.set_aspect("equal", "datalim")
@@ -285,8 +294,7 @@ def through_turn(
     shown, axes = figure.subplots(1, 2)
     shown.imshow(image)
     for (name, (here, there)), colour in zip(read.items(), (AFTER, BEFORE), strict=False):
-        ends = np.stack([here, there, np.full_like(here, np.nan)], 1).reshape(-1, 2)
-        shown.plot(*ends.T, color=colour, lw=1.2)
+        shown.plot(*_joined(np.stack([here, there], 1)), color=colour, lw=1.2)
         shown.plot(*here.T, ".", color=colour, ms=3)
         label = f"{name}: at most {np.abs(there - here).max(initial=0):.2g} px an axis"
         axes.plot(*(there - here).T, "o", color=colour, ms=5, alpha=0.5, label=label)
