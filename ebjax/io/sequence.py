@@ -4,6 +4,7 @@ Reading decodes no image: images are decoded when asked for, and a frame that ca
 """
 
 import dataclasses
+import functools
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -70,12 +71,12 @@ class Sequence:
         """Of the log."""
         return self.log.path
 
-    @property
+    @functools.cached_property
     def names(self) -> tuple[str, ...]:
         """Of the frames' images, as the log has them."""
         return tuple(self.log.colour.names[row] for row in self.rows)
 
-    @property
+    @functools.cached_property
     def files(self) -> tuple[Path, ...]:
         """Of the frames' images, where each is a file."""
         return tuple(self.log.colour.files[row] for row in self.rows) if self.log.colour.files else ()
