@@ -240,11 +240,17 @@ def _one_line(error: BaseException) -> str:
 
 
 def _flatten(box: str) -> str:
-    """Turns tyro's framed message into one sentence: what stands above its rule, without the deeper-set help."""
-    body: list[str] = []
-    for line in (line.strip("│").rstrip() for line in box.splitlines()):
-        if line.strip().startswith(("─", "╰")):
-            break
-        if line.strip() and not line.startswith(("╭", "       ")):
-            body.append(line.strip())
-    return " ".join(body)
+    """Turns tyro's framed message into one sentence: what stands above its rule, and the flags that may be meant."""
+    parts: list[list[str]] = [[]]
+    for line in box.splitlines():
+        if _RULE.fullmatch(line):
+            parts.append([])
+        elif (text := line.strip("│").rstrip()) and not text.startswith("       "):
+            parts[-1].append(text.strip())
+    _, said, *more = parts
+    meant = [text.split()[0] for part in more if part and "you meant" in part[0] for text in part if text[0] == "-"]
+    return " ".join(said) + (f"; perhaps you meant {' or '.join(meant)}" if meant else "")
+
+
+_RULE = re.compile(r"[╭╰].*|[│\s]*[─-]{9,}[│\s]*")
+"""A line of tyro's frame; where it cannot draw one, the title stands above the first rule."""

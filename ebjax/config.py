@@ -81,9 +81,7 @@ def _build(path: str | Path, prefix: str, kind: Any, values: Any) -> Any:
     fields = {field.name: field for field in dataclasses.fields(kind)}
     for key in values:
         if key not in fields:
-            close = difflib.get_close_matches(str(key), fields, n=1)
-            hint = f"did you mean {prefix}{close[0]!s}?" if close else f"known keys: {', '.join(fields)}"
-            raise ValueError(f"{path}: unknown key {prefix}{_named(key)}; {hint}")
+            raise ValueError(f"{path}: unknown key {prefix}{_named(key)}; {_meant(key, prefix, kind)}")
     hints = typing.get_type_hints(kind)
     arguments = {}
     for name, field in fields.items():
@@ -92,6 +90,25 @@ def _build(path: str | Path, prefix: str, kind: Any, values: Any) -> Any:
         elif field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
             arguments[name] = tyro.MISSING
     return kind(**arguments)
+
+
+def _meant(key: Any, prefix: str, kind: Any) -> str:
+    """The key that is most like one that nobody knows, the same name in a group before another one beside it."""
+    fields = [field.name for field in dataclasses.fields(kind)]
+    inside = [name for name in _inside(kind) if name.rpartition(".")[2] == key]
+    close = inside or difflib.get_close_matches(str(key), fields, n=1)
+    return f"did you mean {prefix}{close[0]}?" if close else f"known keys: {', '.join(fields)}"
+
+
+def _inside(kind: Any, prefix: str = "") -> list[str]:
+    """The dotted names of all keys in the groups of a config."""
+    found = []
+    for name, hint in typing.get_type_hints(kind).items():
+        for group in (hint, *typing.get_args(hint)):
+            if dataclasses.is_dataclass(group):
+                found += [f"{prefix}{name}.{field.name}" for field in dataclasses.fields(group)]
+                found += _inside(group, f"{prefix}{name}.")
+    return found
 
 
 def _value(path: str | Path, key: str, kind: Any, value: Any) -> Any:

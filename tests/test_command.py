@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import io
 import os
 import subprocess
 import sys
@@ -83,6 +84,15 @@ def test_defaults_then_yaml_then_flags(yaml_file):
     assert parse(Job, ["in.txt"]) == Job("in.txt")
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "ascii"])
+def test_flags_that_may_be_meant_are_named(encoding, monkeypatch):
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(io.BytesIO(), encoding))
+    with pytest.raises(ValueError) as fault:
+        parse(Job, ["in.txt", "--kernel.widths", "3"])
+    said = "Unrecognized options: --kernel.widths, 3; perhaps you meant --kernel.width (--help lists the options)"
+    assert str(fault.value) == said
+
+
 def test_yaml_may_give_the_positional_argument(yaml_file):
     assert parse(Job, [f"--config={yaml_file('path: q')}"]).path == "q"
     assert parse(Job, ["r", "--config", yaml_file("path: q")]).path == "r"
@@ -92,6 +102,7 @@ def test_yaml_may_give_the_positional_argument(yaml_file):
     "text, words",
     [
         ("kidn: b", "unknown key kidn; did you mean kind?"),
+        ("width: 3", "unknown key width; did you mean kernel.width?"),
         ("kernel: {zzz: 1}", "unknown key kernel.zzz; known keys: width, sizes"),
         ("kernel: 3", "kernel is not a mapping"),
         ("kernel: {width: wide}", "key kernel.width is 'wide', not a number"),

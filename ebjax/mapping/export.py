@@ -98,6 +98,8 @@ def export_run(
         images = [relative(sequence.files[frame], out) for frame in frames]
         with _noted(notes, folder, out):
             write_transforms(folder / "transforms.json", camera, matrices(result.poses[frames]), images)
+    else:
+        notes.append("no transforms.json: it names image files; `python -m ebjax.logs LOG --out DIR` makes some")
     return Exported(tuple(sorted(file.name for file in set(folder.iterdir()) - before)), tuple(notes))
 
 
