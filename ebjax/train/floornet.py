@@ -201,7 +201,7 @@ def _step(state: dict[str, Any], canvases: Float[Array, "C h w 3"], graph: Any, 
     (_, (metrics, rest)), gradient = jax.value_and_grad(loss, has_aux=True)(state["params"], state["rest"])
     update, optimiser = _optimiser(config).update(gradient, state["optimiser"], state["params"])
     params = optax.apply_updates(state["params"], update)
-    metrics["gradient"] = optax.global_norm(gradient)
+    metrics["gradient"] = optax.tree.norm(gradient)
     return processes.kept_whole({"params": params, "rest": rest, "optimiser": optimiser}), metrics
 
 

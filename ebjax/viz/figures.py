@@ -152,7 +152,7 @@ def matches(
         axes.plot(*points[outliers].T, "x", color=WRONG, ms=3, mew=0.6, alpha=0.7)
     ends, colours = np.stack([points_a, points_b + shift], 1)[chosen], _rainbow(chosen, len(inliers))
     axes.add_collection(LineCollection(list(ends), colors=colours, linewidths=0.7), autolim=False)
-    axes.scatter(*ends.reshape(-1, 2).T, s=4, c=np.repeat(colours, 2, 0), linewidths=0, zorder=3)
+    axes.scatter(ends[..., 0], ends[..., 1], s=4, c=np.repeat(colours, 2, 0), linewidths=0, zorder=3)
     axes.set(xlim=(-0.5, canvas.shape[1] - 0.5), ylim=(canvas.shape[0] - 0.5, -0.5))
     axes.set_axis_off()
     if title:

@@ -31,12 +31,13 @@ def view(height, width, seed=0):
 
 @pytest.mark.parametrize("size", [(64, 64), (40, 72), (72, 40)])
 def test_turned_view_has_the_turned_maps(look, size):
-    grey, seen = view(*size)
+    grey, seen = (values.astype(jnp.float64) for values in view(*size))
     expected = turn_maps(look(grey, seen))
     found = look(grey[:, ::-1, ::-1], seen[:, ::-1, ::-1])
     for name in ("places", "local", "score"):
         ours, theirs = getattr(found, name), getattr(expected, name)
-        assert float(jnp.abs(ours - theirs).max()) <= 2e-6 * max(1.0, float(jnp.abs(theirs).max())), name
+        assert ours.dtype == jnp.float64
+        assert float(jnp.abs(ours - theirs).max()) <= 1e-13 * max(1.0, float(jnp.abs(theirs).max())), name
 
 
 def test_shapes_and_unit_descriptors(look):
