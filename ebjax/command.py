@@ -247,7 +247,8 @@ def _flatten(box: str) -> str:
             parts.append([])
         elif (text := line.strip("│").rstrip()) and not text.startswith("       "):
             parts[-1].append(text.strip())
-    _, said, *more = parts
+    # Without a frame nothing is told apart.
+    said, *more = parts[1:] or parts
     meant = [text.split()[0] for part in more if part and "you meant" in part[0] for text in part if text[0] == "-"]
     return " ".join(said) + (f"; perhaps you meant {' or '.join(meant)}" if meant else "")
 

@@ -17,7 +17,7 @@ import tyro
 
 import ebjax
 from ebjax.__main__ import commands
-from ebjax.command import _mend_or_show, dump_config, parse, progress, run, setup_jax
+from ebjax.command import _flatten, _mend_or_show, dump_config, parse, progress, run, setup_jax
 from ebjax.config import load_config
 
 
@@ -91,6 +91,10 @@ def test_flags_that_may_be_meant_are_named(encoding, monkeypatch):
         parse(Job, ["in.txt", "--kernel.widths", "3"])
     said = "Unrecognized options: --kernel.widths, 3; perhaps you meant --kernel.width (--help lists the options)"
     assert str(fault.value) == said
+
+
+def test_a_message_without_a_frame_is_said_whole():
+    assert _flatten("no such\nthing\n") == "no such thing" and _flatten("") == ""
 
 
 def test_yaml_may_give_the_positional_argument(yaml_file):

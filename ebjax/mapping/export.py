@@ -99,7 +99,7 @@ def export_run(
         with _noted(notes, folder, out):
             write_transforms(folder / "transforms.json", camera, matrices(result.poses[frames]), images)
     else:
-        notes.append("no transforms.json: it names image files; `python -m ebjax.logs LOG --out DIR` makes some")
+        notes.append("no transforms.json: it names image files; `python -m ebjax.logs LOG --out DIR` writes them")
     return Exported(tuple(sorted(file.name for file in set(folder.iterdir()) - before)), tuple(notes))
 
 
