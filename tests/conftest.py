@@ -2,7 +2,7 @@
 
 import contextlib
 import fcntl
-import functools
+import importlib.metadata
 import importlib.util
 import io
 import os
@@ -16,6 +16,12 @@ import pytest
 
 from ebjax.bench import programs
 from ebjax.command import setup_jax
+
+# Most tests compile for longer than they compute: their programs are hardly optimised. XLA ends a process for a flag it
+# does not know, so only the pinned version gets them; XLA_FLAGS of one's own, empty ones too, go before.
+PINNED = Path(__file__).parents[1] / "configs" / "constraints.txt"
+if f"jaxlib=={importlib.metadata.version('jaxlib')}" in PINNED.read_text().split():
+    os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0")
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
@@ -68,12 +74,6 @@ def program():
         return subprocess.CompletedProcess(argv, code, out.getvalue(), err.getvalue())
 
     return ended
-
-
-@pytest.fixture(scope="session")
-def quickly():
-    """jax.jit for a program that takes longer to compile than to run: it is not optimised."""
-    return functools.partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 
 
 @pytest.fixture

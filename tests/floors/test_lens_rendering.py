@@ -1,5 +1,4 @@
 from dataclasses import replace
-from functools import partial
 
 import cv2
 import jax
@@ -35,9 +34,7 @@ LENSES = {
     "equidistant": lens("equidistant", (0.045, 0.012, -0.02, 0.006)),
 }
 STRAIGHT = camera_over_floor(154.0, 154.0, 80.0, 60.0, 160, 120, 0.54, 0.33, 0.02, 0.27)
-# Programs that run a few times: not worth optimising.
-quickly = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
-cast, rays_through = quickly(render_eagerly), quickly(bent_rays)
+cast, rays_through = jax.jit(render_eagerly), jax.jit(bent_rays)
 
 
 def render(scene, camera, world_from_base):
@@ -152,7 +149,7 @@ def test_steps_are_the_differences_of_neighbouring_rays(name):
 
 def test_rays_of_a_pinhole_and_rays_of_the_frame_itself_are_the_same(places):
     for cam in (STRAIGHT, camera("plumb_bob")):
-        own = quickly(render_eagerly)(places, cam, pose(1, 0, 0), FLAT, NOBODY)
+        own = jax.jit(render_eagerly)(places, cam, pose(1, 0, 0), FLAT, NOBODY)
         for a, b in zip(own, render(places, cam, pose(1, 0, 0)), strict=True):
             np.testing.assert_allclose(a, b, atol=1e-9)
 
@@ -175,8 +172,8 @@ def test_rays_are_differentiable_in_the_lens():
 
     at, eps = jnp.asarray(LENSES["equidistant"].coefficients), 1e-6
     step = eps * jnp.array([1.0, -0.5, 0.3, 0.2])
-    value = quickly(score)
-    slope = float(jnp.vdot(quickly(jax.grad(score))(at), step / eps))
+    value = jax.jit(score)
+    slope = float(jnp.vdot(jax.jit(jax.grad(score))(at), step / eps))
     assert slope == pytest.approx(float(value(at + step) - value(at - step)) / (2 * eps), rel=1e-5)
 
 

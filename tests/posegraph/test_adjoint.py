@@ -29,9 +29,9 @@ def make(ring, group, kernel, **options):
 
 
 @pytest.mark.parametrize(("group", "kernel"), [("se2", "none"), ("se2", "cauchy"), ("se3", "none"), ("se3", "cauchy")])
-def test_gradient_of_the_ate_is_its_central_difference(ring, quickly, group, kernel):
+def test_gradient_of_the_ate_is_its_central_difference(ring, group, kernel):
     graph, ate = make(ring, group, kernel, n=100, loops=6, false_loops=1)
-    descend = quickly(jax.value_and_grad(ate, argnums=(0, 1, 2)))  # one program for values and gradients
+    descend = jax.jit(jax.value_and_grad(ate, argnums=(0, 1, 2)))  # one program for values and gradients
     m, o, w = np.asarray(graph.measured), np.asarray(graph.information), 1.0
     by_measured, by_information, by_width = map(np.asarray, descend(m, o, w)[1])
     rng, lie = np.random.default_rng(0), graph.lie
@@ -39,7 +39,7 @@ def test_gradient_of_the_ate_is_its_central_difference(ring, quickly, group, ker
     def value(measured, information, width):
         return float(descend(measured, information, width)[0])
 
-    @quickly
+    @jax.jit
     def moved(t, tangent):
         return jax.jvp(lambda t: lie.compose(jnp.asarray(m), lie.exp(t * tangent)), (t,), (1.0,))
 
@@ -58,18 +58,18 @@ def test_gradient_of_the_ate_is_its_central_difference(ring, quickly, group, ker
         assert float(by_width) == pytest.approx(central(lambda t: value(m, o, w + t), 1e-3), rel=1e-6)
 
 
-def test_forward_mode_agrees_with_reverse_mode(ring, quickly):
+def test_forward_mode_agrees_with_reverse_mode(ring):
     graph, ate = make(ring, "se2", "cauchy", n=30, loops=3)
     arguments = tuple(map(np.asarray, (graph.measured, graph.information, 1.0)))
     rng = np.random.default_rng(0)
     tangents = tuple(np.asarray(rng.normal(size=x.shape)) for x in arguments)
-    gradient = quickly(jax.grad(ate, argnums=(0, 1, 2)))(*arguments)
+    gradient = jax.jit(jax.grad(ate, argnums=(0, 1, 2)))(*arguments)
     backward = sum(np.sum(g * t) for g, t in zip(gradient, tangents, strict=True))
-    forward = quickly(lambda at, along: jax.jvp(ate, at, along)[1])(arguments, tangents)
+    forward = jax.jit(lambda at, along: jax.jvp(ate, at, along)[1])(arguments, tangents)
     assert float(forward) == pytest.approx(float(backward), rel=1e-9)
 
 
-def test_gradient_of_the_cost_and_of_a_fixed_pose(ring, quickly):
+def test_gradient_of_the_cost_and_of_a_fixed_pose(ring):
     graph, _ = ring(n=20, loops=3, false_loops=1)
 
     def final(poses, measured):
@@ -79,11 +79,11 @@ def test_gradient_of_the_cost_and_of_a_fixed_pose(ring, quickly):
     poses, m = np.asarray(graph.poses), np.asarray(graph.measured)
     step, turn = np.zeros_like(m), np.zeros_like(poses)
     step[-1, 0] = turn[0, 2] = 1.0
-    cost = quickly(jax.value_and_grad(lambda m: final(poses, m)[0]))
+    cost = jax.jit(jax.value_and_grad(lambda m: final(poses, m)[0]))
     gradient = cost(m)[1]
     numeric = central(lambda t: float(cost(m + t * step)[0]), 1e-4)
     assert float(gradient[-1, 0]) == pytest.approx(numeric, rel=1e-6)
-    end = quickly(jax.value_and_grad(lambda p: final(p, m)[1]))
+    end = jax.jit(jax.value_and_grad(lambda p: final(p, m)[1]))
     by_pose = np.asarray(end(poses)[1])
     numeric = central(lambda t: float(end(poses + t * turn)[0]), 1e-4)
     assert float(by_pose[0, 2]) == pytest.approx(numeric, rel=1e-6)
@@ -91,11 +91,11 @@ def test_gradient_of_the_cost_and_of_a_fixed_pose(ring, quickly):
 
 
 @pytest.mark.parametrize("kernel", ["none", "cauchy"])
-def test_gradient_on_a_real_run(data, quickly, kernel):
+def test_gradient_on_a_real_run(data, kernel):
     graph, _ = read_g2o(data("d5_pose_graph/lessNoise.g2o"))
     structure, loop = analyse(graph), int(np.argmax(np.abs(np.asarray(graph.i) - np.asarray(graph.j)) > 1))
 
-    @quickly
+    @jax.jit
     @jax.value_and_grad
     def end(t):
         measured = jnp.asarray(graph.measured).at[loop].add(t)

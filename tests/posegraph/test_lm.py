@@ -14,7 +14,7 @@ from ebjax.posegraph.factors import edge_costs
 
 
 @pytest.fixture(scope="module")
-def optimum(ring, quickly):
+def optimum(ring):
     """Returns a function: the cost that SciPy finds for a kernel on `ring(n=30, loops=4, false_loops=1)`."""
 
     @functools.cache
@@ -26,7 +26,7 @@ def optimum(ring, quickly):
             return jnp.sum(edge_costs(graph, poses, kernel, jnp.asarray(1.0)))
 
         start = np.asarray(solve(graph, kernel=kernel).poses[1:]).ravel() + 1e-3
-        value, slope, hessian = (quickly(f) for f in (cost, jax.grad(cost), jax.hessian(cost)))
+        value, slope, hessian = (jax.jit(f) for f in (cost, jax.grad(cost), jax.hessian(cost)))
         return scipy.optimize.minimize(value, start, jac=slope, hess=hessian, method="trust-exact").fun
 
     return found

@@ -34,7 +34,8 @@ def train():
             free.bind(("127.0.0.1", 0))
             coordinator = f"127.0.0.1:{free.getsockname()[1]}"
         flags = [*flags, "--out", str(out), "--processes", str(count), "--coordinator", coordinator]
-        environment = {**os.environ, "XLA_FLAGS": f"--xla_force_host_platform_device_count={devices}"}
+        xla = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count={devices}"
+        environment = {**os.environ, "XLA_FLAGS": xla}
         started = [
             subprocess.Popen(
                 [sys.executable, TOY, *flags, "--process", str(process)],
