@@ -59,10 +59,14 @@ def data():
 
 @pytest.fixture
 def program():
-    """Returns a function: `python -m MODULE ARGUMENTS`, in this process, its imports and compiled programs at hand."""
+    """Returns a function: `python -m MODULE ARGUMENTS`, in this process, its imports and compiled programs at hand.
+
+    What the command sets in JAX is put back.
+    """
 
     def ended(module, *arguments, cwd):
         argv, out, err = [module, *map(str, arguments)], io.StringIO(), io.StringIO()
+        settings = dict(jax.config.values)
         with contextlib.chdir(cwd), pytest.MonkeyPatch.context() as patch:
             patch.setattr(sys, "argv", argv)
             with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
@@ -71,6 +75,9 @@ def program():
                     code = 0
                 except SystemExit as stop:
                     code = stop.code or 0
+        for name, value in settings.items():
+            if jax.config.values[name] != value:
+                jax.config.update(name, value)
         return subprocess.CompletedProcess(argv, code, out.getvalue(), err.getvalue())
 
     return ended

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from small_run import CONFIG, camera, driven, finished, opened, recording
 
+from ebjax.geometry.planar import between
 from ebjax.io.map_file.file import MapFile
 from ebjax.io.map_file.lock import Locked
 from ebjax.mapping.export import export_map
@@ -56,7 +57,7 @@ def test_with_the_same_weights_it_is_what_it_was_but_for_jpeg(whole, described):
     assert set(now.state) == set(was.state)
     for one, other in zip(columns(frames), columns(new_frames), strict=True):
         np.testing.assert_array_equal(one, other)
-    np.testing.assert_allclose(new_keyframes.pose, keyframes.pose, atol=0.005)
+    np.testing.assert_allclose(between(keyframes.pose, new_keyframes.pose), 0, atol=0.005)
     for name in ("id", "session", "frame", "stamp_s", "name"):
         np.testing.assert_array_equal(getattr(new_keyframes, name), getattr(keyframes, name))
     steps, new_steps = (np.array([kind == "step" for kind in one.kind]) for one in (edges, new_edges))
@@ -189,7 +190,7 @@ def test_several_sessions_keep_their_numbers_and_the_closures_between_them(whole
     redescribe(building, CONFIG)
     was, now = contents(building), contents(building.with_name("building.redescribed.ebmap"))
     assert [one.id for one in now[1]] == [one.id for one in was[1]] == [1, gone + 1]
-    np.testing.assert_allclose(now[2].pose, was[2].pose, atol=0.005)
+    np.testing.assert_allclose(between(was[2].pose, now[2].pose), 0, atol=0.005)
     session = dict(zip(now[2].id.tolist(), now[2].session.tolist(), strict=True))
     across = [session[i] != session[j] for i, j in zip(now[4].i.tolist(), now[4].j.tolist(), strict=True)]
     assert (now[4].kept & across).sum() >= run.earlier.closures - 2 > 0

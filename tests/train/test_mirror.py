@@ -65,7 +65,7 @@ def test_rooms_are_finite_from_everywhere():
 
 def test_wild_views_are_harder_and_in_range(canvas):  # noqa: F811
     tame, wild = (sample_pairs(canvas, 6, 96, w, key=jax.random.key(0)) for w in (Wild(), Wild(1.0, 1.0)))
-    np.testing.assert_array_equal(tame.second_from_first, wild.second_from_first)
+    np.testing.assert_allclose(tame.second_from_first, wild.second_from_first, rtol=1e-5, atol=1e-7)
     for views in (wild.first, wild.second):
         assert bool(jnp.isfinite(views).all()) and float(views.min()) >= 0 and float(views.max()) <= 1
     assert float(jnp.abs(tame.first - wild.first).mean()) > 0.02
