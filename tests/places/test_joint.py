@@ -87,6 +87,7 @@ def test_steady_are_views_that_match_one_after_another():
     assert joint.steadiness(jnp.asarray(passed[:5])) == 1
 
 
+@pytest.mark.slow
 def test_a_real_corridor_with_a_carpet(data):
     """A query's true references are its own number and two on either side. This floor says little, and does no harm."""
     folders = [data("vpr_corridor") / name for name in ("ref", "query")]

@@ -78,6 +78,7 @@ def test_closes_the_loop_of_the_way_back(rendered, done):
     assert parse(Config, ["--config", str(out / "config.yaml")]).sequence == rendered
 
 
+@pytest.mark.slow
 def test_without_depth_but_with_another_camera_and_from_a_quad(rendered, sequence, tmp_path):
     pose = np.array(json.loads((rendered / "camera.json").read_text())["T_base_camera"])
     pose[2, 3] *= 1.2
@@ -92,16 +93,19 @@ def test_without_depth_but_with_another_camera_and_from_a_quad(rendered, sequenc
     assert quad["closures_against_truth"]["within_5cm_1deg"] == quad["closures_kept"]
 
 
+@pytest.mark.slow
 def test_the_floor_from_depth_is_the_camera_s(rendered, tmp_path, capsys):
     metrics = slam(rendered, tmp_path / "run", "--floor", "depth")
     assert "pitch 19.0" in capsys.readouterr().out
     assert metrics["closures_kept"] >= 3
 
 
+@pytest.mark.slow
 def test_top_keeps_so_many(rendered, tmp_path):
     assert slam(rendered, tmp_path / "run", "--top", "2")["closures_kept"] == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("extractor", ["sift", "orb"])
 def test_other_features_keep_no_wrong_closure(rendered, tmp_path, extractor):
     metrics = slam(rendered, tmp_path / "run", "--extractor", extractor, "--ranking", "cosine")
@@ -109,6 +113,7 @@ def test_other_features_keep_no_wrong_closure(rendered, tmp_path, extractor):
     assert truth["within_5cm_1deg"] == truth["checked"]
 
 
+@pytest.mark.slow
 def test_nothing_repeats_on_the_way_out(sequence, tmp_path):
     keep_lines(sequence / "rgb.txt", 24)
     metrics = slam(sequence, tmp_path / "run")
@@ -123,6 +128,7 @@ def test_nothing_repeats_on_the_way_out(sequence, tmp_path):
     np.testing.assert_allclose(trajectory.poses, odometry.poses[:24], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_without_wheels_the_floor_says_how_the_robot_moved(sequence, tmp_path):
     (sequence / "odometry.txt").unlink()
     metrics = slam(sequence, tmp_path / "run", "--depth", "none")
@@ -132,6 +138,7 @@ def test_without_wheels_the_floor_says_how_the_robot_moved(sequence, tmp_path):
     assert metrics["ate_rmse_m"]["after"] < 0.01
 
 
+@pytest.mark.slow
 def test_late_images_and_odometry_that_starts_anew_are_put_right_and_named(sequence, tmp_path, capsys):
     rows = np.loadtxt(sequence / "odometry.txt")
     rows[30:, 1:3] -= rows[30, 1:3]
@@ -148,6 +155,7 @@ def test_late_images_and_odometry_that_starts_anew_are_put_right_and_named(seque
     assert metrics["ate_rmse_m"]["after"] < 0.01
 
 
+@pytest.mark.slow
 def test_broken_frames_are_skipped_counted_and_named(sequence, tmp_path, capsys):
     names = [line.split()[1] for line in (sequence / "rgb.txt").read_text().splitlines()]
     (sequence / names[10]).write_bytes((sequence / names[10]).read_bytes()[:5000])
@@ -279,6 +287,7 @@ def test_other_programs_get_their_files(done, sequence, tmp_path, capsys):
     assert "building.ebmap: was made with mount" in line
 
 
+@pytest.mark.slow
 def test_a_run_is_the_same_whatever_keeps_it(rendered, done, tmp_path, monkeypatch):
     """In memory, in a file beside it where the run is long, and in a map."""
     slam(rendered, tmp_path / "short")

@@ -22,6 +22,8 @@ from ebjax.slam.recording import Recording
 from ebjax.slam.store import InMemory
 from ebjax.slam.world import planar
 
+pytestmark = pytest.mark.slow
+
 
 class Driven:
     """A run out and back, and the map that it left."""
