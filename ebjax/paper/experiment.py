@@ -229,17 +229,20 @@ class Experiment:
 
 
 def _pair_means(which: str, weights: Path | None, pairs: list[Pair], seed: int) -> dict[str, dict[str, Any]]:
-    """Per input: mean inliers and matches, pairs whose motion is right, pairs, and the median error."""
+    """Per input: mean inliers and matches, pairs whose motion is right, pairs, and the median error.
+
+    A pair without a motion is infinitely wrong; None where half of them are.
+    """
     row = compare_pairs(extractor(which, weights), pairs, seed=seed)
     result = {}
     for seen_as, cells in row.items():
         every = list(cells.values())
-        errors = [cell.error_px for cell in every if np.isfinite(cell.error_px)]
+        error_px = float(np.median([cell.error_px for cell in every])) if every else np.inf
         result[seen_as] = {
             "inliers": float(np.mean([cell.inliers for cell in every])) if every else None,
             "total": float(np.mean([cell.total for cell in every])) if every else None,
             "right": sum(cell.right for cell in every),
             "pairs": len(every),
-            "median_error_px": float(np.median(errors)) if errors else None,
+            "median_error_px": error_px if np.isfinite(error_px) else None,
         }
     return result
