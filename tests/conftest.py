@@ -57,6 +57,25 @@ def data():
     return find
 
 
+@contextlib.contextmanager
+def settings_put_back():
+    """What is set in JAX inside is as it was afterwards."""
+    before = dict(jax.config.values)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if jax.config.values[name] != value:
+                jax.config.update(name, value)
+
+
+@pytest.fixture
+def untouched_jax():
+    """What a test sets in JAX is put back."""
+    with settings_put_back():
+        yield
+
+
 @pytest.fixture
 def program():
     """Returns a function: `python -m MODULE ARGUMENTS`, in this process, its imports and compiled programs at hand.
@@ -66,8 +85,7 @@ def program():
 
     def ended(module, *arguments, cwd):
         argv, out, err = [module, *map(str, arguments)], io.StringIO(), io.StringIO()
-        settings = dict(jax.config.values)
-        with contextlib.chdir(cwd), pytest.MonkeyPatch.context() as patch:
+        with settings_put_back(), contextlib.chdir(cwd), pytest.MonkeyPatch.context() as patch:
             patch.setattr(sys, "argv", argv)
             with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
                 try:
@@ -75,9 +93,6 @@ def program():
                     code = 0
                 except SystemExit as stop:
                     code = stop.code or 0
-        for name, value in settings.items():
-            if jax.config.values[name] != value:
-                jax.config.update(name, value)
         return subprocess.CompletedProcess(argv, code, out.getvalue(), err.getvalue())
 
     return ended

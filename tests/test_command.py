@@ -191,15 +191,6 @@ def test_progress_shows_on_a_terminal(capsys, monkeypatch):
     assert captured.out == "" and "numbers" in captured.err
 
 
-@pytest.fixture
-def untouched_jax():
-    names = ("jax_enable_x64", "jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")
-    before = {name: getattr(jax.config, name) for name in names}
-    yield
-    for name, value in before.items():
-        jax.config.update(name, value)
-
-
 def test_jax_keeps_its_cache_with_the_user(tmp_path, monkeypatch, untouched_jax):
     jax.config.update("jax_compilation_cache_dir", None)
     (tmp_path / "file").write_text("")

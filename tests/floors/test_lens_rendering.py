@@ -149,7 +149,7 @@ def test_steps_are_the_differences_of_neighbouring_rays(name):
 
 def test_rays_of_a_pinhole_and_rays_of_the_frame_itself_are_the_same(places):
     for cam in (STRAIGHT, camera("plumb_bob")):
-        own = jax.jit(render_eagerly)(places, cam, pose(1, 0, 0), FLAT, NOBODY)
+        own = cast(places, cam, pose(1, 0, 0), FLAT, NOBODY)
         for a, b in zip(own, render(places, cam, pose(1, 0, 0)), strict=True):
             np.testing.assert_allclose(a, b, atol=1e-9)
 
