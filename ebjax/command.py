@@ -249,7 +249,8 @@ def _flatten(box: str) -> str:
             parts[-1].append(text.strip())
     # Without a frame nothing is told apart.
     said, *more = parts[1:] or parts
-    meant = [text.split()[0] for part in more if part and "you meant" in part[0] for text in part if text[0] == "-"]
+    named = [text for part in more if part and "you meant" in part[0] for text in part if text[0] == "-"]
+    meant = [text.split()[0].rstrip(",") for text in named]
     return " ".join(said) + (f"; perhaps you meant {' or '.join(meant)}" if meant else "")
 
 

@@ -85,11 +85,16 @@ def test_defaults_then_yaml_then_flags(yaml_file):
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "ascii"])
-def test_flags_that_may_be_meant_are_named(encoding, monkeypatch):
+@pytest.mark.parametrize(
+    ("given", "meant"),
+    [(("--kernel.widths", "3"), "--kernel.width"), (("--detph",), "--depth")],
+    ids=["number", "switch"],
+)
+def test_flags_that_may_be_meant_are_named(given, meant, encoding, monkeypatch):
     monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(io.BytesIO(), encoding))
     with pytest.raises(ValueError) as fault:
-        parse(Job, ["in.txt", "--kernel.widths", "3"])
-    said = "Unrecognized options: --kernel.widths, 3; perhaps you meant --kernel.width (--help lists the options)"
+        parse(Job, ["in.txt", *given])
+    said = f"Unrecognized options: {', '.join(given)}; perhaps you meant {meant} (--help lists the options)"
     assert str(fault.value) == said
 
 
