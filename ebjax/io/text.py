@@ -10,7 +10,7 @@ from pathlib import Path
 
 MOST = 1e30
 """No length, angle or time in any unit is larger; squares of such numbers still are finite."""
-MOST_BYTES = 1 << 28
+MOST_BYTES = 1 << 27
 NO_TEXT = "not a text file; give a text table (or a .gz of one)"
 MARKS = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16", b"\xef\xbb\xbf": "utf-8-sig"}
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from ebjax.posegraph.g2o_tags import EDGES, OFFSETS, PLANAR, SENSOR_DATA, SIZES, VERTICES, Edge, not_supported, plain
 
-MOST_BYTES = 1 << 28
+MOST_BYTES = 1 << 27
 MOST = 1e100
 """Squares of larger numbers are infinite."""
 _COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")
