@@ -12,6 +12,7 @@ import numpy as np
 import tyro
 
 from ebjax.command import progress, run
+from ebjax.features.contradict import contradictions
 from ebjax.features.equivariance import middle, stand_in, through_turn
 from ebjax.features.extractor import EXTRACTORS, Extractor, extractor, usable
 from ebjax.features.fewer import strongest_only
@@ -157,20 +158,25 @@ def main(config: Config) -> None:
     for name, chosen in caching(config.cache, extractors, config.arithmetic).items():
         row = f"{name:10}"
         how: dict[str, Any] = {"model": config.model, "tolerance": config.tolerance, "seed": config.seed}
-        for kind, comparison, model in compare_inputs(chosen, views, image_a, image_b, **how):
+        found = list(compare_inputs(chosen, views, image_a, image_b, **how))
+        denied = contradictions({kind: comparison for kind, comparison, _ in found}, views)
+        for kind, comparison, model in found:
             view = views[RAW if kind == RAW else FLOOR]
             comparisons.append(comparison)
-            records.append(describe(name, kind, model, comparison, view, config.size))
-            if camera is not None and kind != RAW:
+            records.append(describe(name, kind, model, comparison, view, config.size, denied.get(kind)))
+            if camera is not None and kind != RAW and records[-1]["believed"]:
                 records[-1] |= measure(comparison, camera, depths)
-            row += f"{f'{comparison.inliers} / {comparison.total}':>14}" + (" *" if comparison.believed else "  ")
+            mark = " !" if kind in denied else " *" if comparison.believed else "  "
+            row += f"{f'{comparison.inliers} / {comparison.total}':>14}" + mark
         print(row.rstrip())
     print("inliers / matches; * more than chance would show")
+    if any(record["contradicts"] for record in records):
+        print("! more than chance too, but the floor view that most matches agree on puts the floor elsewhere")
     for reason in absent.values():
         print(f"left out: {reason}")
     if FLOOR not in views:
         print("floor views need --camera or --quad")
-    best = max(range(len(records)), key=lambda k: (records[k]["believed"], records[k]["inliers"]))
+    best = max(range(len(records)), key=lambda k: rank(records[k]))
     print("\n".join(summary(records[best])))
     result = {
         "a": str(config.a),
@@ -181,6 +187,11 @@ def main(config: Config) -> None:
         "results": records,
     }
     write(config.out, result, comparisons[best], records[best], (image_a, image_b))
+
+
+def rank(record: dict[str, Any]) -> tuple[bool, bool, int]:
+    """The largest is the line that is kept: of those believed, one that sees the floor."""
+    return record["believed"], record["input"] != RAW, record["inliers"]
 
 
 def caching(folder: Path | None, found: dict[str, Extractor], arithmetic: Arithmetic) -> dict[str, Extractor]:

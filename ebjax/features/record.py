@@ -39,11 +39,14 @@ def matched_points(comparison: Comparison) -> tuple[np.ndarray, np.ndarray, np.n
     return *points, np.asarray(matched.inliers)[rows]
 
 
-def describe(name: str, kind: str, model: str, comparison: Comparison, view: PlaneView, size: int) -> dict[str, Any]:
-    """One line of the table with its homographies, for transform.json."""
+def describe(
+    name: str, kind: str, model: str, comparison: Comparison, view: PlaneView, size: int, contradicts: str | None = None
+) -> dict[str, Any]:
+    """One line of the table with its homographies, for transform.json; what contradicts an input is not believed."""
+    believed = comparison.believed and contradicts is None
     record: dict[str, Any] = {"extractor": name, "input": kind, "model": model}
-    record |= {"inliers": comparison.inliers, "total": comparison.total, "believed": comparison.believed}
-    record |= {"guided_inliers": int(comparison.matched.count) if comparison.believed else None}
+    record |= {"inliers": comparison.inliers, "total": comparison.total, "believed": believed}
+    record |= {"contradicts": contradicts, "guided_inliers": int(comparison.matched.count) if believed else None}
     if not comparison.inliers:
         return record
     record["image_b_from_a"] = number_list(image_b_from_a(comparison, view))
@@ -55,9 +58,7 @@ def describe(name: str, kind: str, model: str, comparison: Comparison, view: Pla
 
 
 def measure(comparison: Comparison, camera: Camera, depths: tuple[np.ndarray, np.ndarray] | None) -> dict[str, Any]:
-    """a_from_b on the metric floor and, with depth, from 3D points."""
-    if not comparison.believed:
-        return {}
+    """a_from_b on the metric floor and, with depth, from 3D points, of a comparison that is believed."""
     matched = comparison.matched
     q, r, inliers = matched.query, matched.reference, np.asarray(matched.inliers)
     record = {"a_from_b": motion(measure_floor(comparison.plane[0][q], comparison.plane[1][r], inliers))}
@@ -87,6 +88,8 @@ def summary(record: dict[str, Any]) -> list[str]:
         return ["no common floor found: no input has more matches in agreement than chance would show"]
     extractor, kind, model, guided = (record[key] for key in ("extractor", "input", "model", "guided_inliers"))
     lines = [f"best: {extractor}, {kind}, {model}, {guided} guided inliers"]
+    if kind == RAW:
+        lines.append("only the raw images agree, as those of two places that look alike do; a floor view would tell")
     for key, way in (("a_from_b", "metric floor"), ("a_from_b_depth", "depth")):
         found = record.get(key)
         if found is not None:
