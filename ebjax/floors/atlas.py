@@ -98,6 +98,6 @@ def make_atlas(
       dtype: of directions and lengths, not of the texels.
     """
     origins, directions, lengths, width_m, starts = (
-        jnp.asarray(n, dtype) for n in (plan.origins, plan.directions, plan.lengths, plan.width_m, columns)
+        jnp.asarray(np.asarray(n, dtype)) for n in (plan.origins, plan.directions, plan.lengths, plan.width_m, columns)
     )
     return Atlas(mipmap.build(image, LEVELS), origins, directions, lengths, width_m, starts, texel_m)

@@ -182,4 +182,4 @@ def make_camera(config: CameraConfig, calibration: CalibrationValues | None = No
     camera = dataclasses.replace(camera, lens=bent)
     if calibration is not None and calibration.base_from_camera is not None:
         camera = dataclasses.replace(camera, base_from_camera=calibration.base_from_camera)
-    return jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), camera)
+    return jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf, np.float32)), camera)

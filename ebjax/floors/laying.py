@@ -112,7 +112,7 @@ def painter(
 
     def paint(number: int, floor: Float[Array, "H W C"]) -> Float[Array, "H W C"]:
         _compile(tuple(most.items()), floor.shape, blocks.texel_m)
-        direction = jnp.asarray(blocks.direction(number), jnp.float32)
+        direction = np.asarray(blocks.direction(number), np.float32)
         for order, (name, kind) in enumerate(marks.items()):
             chosen = near[name][number]
             if len(chosen) == 0:
@@ -121,11 +121,11 @@ def painter(
             floor = wear.paint(
                 floor,
                 name,
-                jnp.asarray(centres[name][number][padded], jnp.float32),
-                jnp.asarray(kind.numbers[padded], jnp.int32),
-                jnp.arange(most[name]) < len(chosen),
+                np.asarray(centres[name][number][padded], np.float32),
+                np.asarray(kind.numbers[padded], np.int32),
+                np.arange(most[name]) < len(chosen),
                 direction,
-                jnp.float32(strength),
+                np.float32(strength),
                 blocks.texel_m,
                 key=jax.random.fold_in(key, order),
             )
@@ -171,7 +171,7 @@ def lay(
     paint = painter(blocks, marks, config.wear, key=mark_key)
 
     def block(number: int) -> Float[np.ndarray, "H W C"]:
-        corner, direction = (jnp.asarray(at(number), jnp.float32) for at in (blocks.corner, blocks.direction))
+        corner, direction = (np.asarray(at(number), np.float32) for at in (blocks.corner, blocks.direction))
         clean = _block(corner, direction, (blocks.rows, BLOCK), own, extra, key=floor_key)
         return np.asarray(paint(number, clean), np.float16)
 

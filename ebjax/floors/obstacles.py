@@ -6,6 +6,7 @@ length: t is whatever the ray's parameter is.
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
@@ -43,12 +44,12 @@ class Posts:
 
 def no_boxes(dtype: DTypeLike = jnp.float32) -> Boxes:
     """Nothing."""
-    return Boxes(*(jnp.zeros(s, dtype) for s in ((0, 2), (0, 2), (0, 2), (0,), (0,), (0, 2, 3), (0,))))
+    return Boxes(*(jnp.asarray(np.zeros(s, dtype)) for s in ((0, 2), (0, 2), (0, 2), (0,), (0,), (0, 2, 3), (0,))))
 
 
 def no_posts(dtype: DTypeLike = jnp.float32) -> Posts:
     """Nothing."""
-    return Posts(*(jnp.zeros(s, dtype) for s in ((0, 2), (0,), (0,), (0,), (0, 3))))
+    return Posts(*(jnp.asarray(np.zeros(s, dtype)) for s in ((0, 2), (0,), (0,), (0,), (0, 3))))
 
 
 def _safe(x):

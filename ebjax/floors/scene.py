@@ -67,13 +67,13 @@ def make_scene(
     doors = np.stack([lengths / 2, np.full_like(lengths, door_spacing_m)], axis=1)
     colours = np.tile(WALL, (len(lengths), 1)) if wall_colours is None else wall_colours
     return Scene(
-        jnp.asarray(plan.walls, dtype),
-        jnp.asarray(colours, dtype),
-        jnp.asarray(doors, dtype),
+        jnp.asarray(np.asarray(plan.walls, dtype)),
+        jnp.asarray(np.asarray(colours, dtype)),
+        jnp.asarray(np.asarray(doors, dtype)),
         floor,
         furniture,
-        jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), ramp),
-        None if lamp_m is None else jnp.asarray(lamp_m, dtype),
+        jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf, dtype)), ramp),
+        None if lamp_m is None else jnp.asarray(np.asarray(lamp_m, dtype)),
     )
 
 

@@ -141,8 +141,8 @@ class Recording:
         return len(self.timestamps)
 
 
-def lights(config: CorridorConfig, rng: np.random.Generator) -> Light:
-    """The light of every pass, stacked: the first as it should be, the others darker, tinted, from another side."""
+def lights(config: CorridorConfig, rng: np.random.Generator) -> list[Light]:
+    """The light of every pass: the first as it should be, the others darker, tinted, from another side."""
     passes, change = config.robot.passes, config.light_change
     by = np.where(np.arange(passes) > 0, rng.uniform(0.7, 1.0, passes), 0.0) * change
     gloss = surface.family(config.floor.family).gloss if config.gloss is None else config.gloss
@@ -156,12 +156,14 @@ def lights(config: CorridorConfig, rng: np.random.Generator) -> Light:
         sun,
         np.cumsum(np.append(0.0, rng.uniform(0.4, 2.4, passes - 1))),
     ]
-    level, contrast, slope, shine, sunny, shift = (jnp.asarray(column, jnp.float32) for column in columns)
-    mirror = None
-    if config.mirror:
-        same = (jnp.full(passes, value, jnp.float32) for value in (config.mirror, config.windows, config.rough))
-        mirror = Mirror(*same)
-    return Light(level, contrast, slope, shine, sunny, shift, mirror)
+    same = [jnp.asarray(np.float32(value)) for value in (config.mirror, config.windows, config.rough)]
+    mirror = Mirror(*same) if config.mirror else None
+
+    def of_pass(k: int) -> Light:
+        level, contrast, slope, shine, sunny, shift = (jnp.asarray(np.float32(column[k])) for column in columns)
+        return Light(level, contrast, slope, shine, sunny, shift, mirror)
+
+    return [of_pass(k) for k in range(passes)]
 
 
 # Two programs: in one, XLA casts the rays again for the noise.
@@ -299,13 +301,12 @@ def record(
     scene = make_scene(plan, floor(0), config.plan.door_spacing_m, furniture, paints, ramp, config.lamp_m)
 
     def frame(i: int) -> Frame:
-        light = jax.tree.map(lambda leaf: leaf[int(passes[i])], of_pass)
         passing = passers.at_frame(walks, poses, i)
         see = _see_blurred if config.sensor.shutter_s > 0 else _see
         seen_from = stand(moments(poses, i, camera.height, config), ramp)
         seen_from = nodded(seen_from, nod, np.asarray(times_s[i] + moment_times(camera.height, config)))
         seen = dataclasses.replace(scene, floor=floor(int(passes[i])))
-        radiance, depth_m = see(seen, camera, jnp.asarray(seen_from, jnp.float32), light, passing, rays)
+        radiance, depth_m = see(seen, camera, np.asarray(seen_from, np.float32), of_pass[int(passes[i])], passing, rays)
         key = jax.random.fold_in(image_key, i)
         image, depth = _expose(radiance, depth_m, jnp.asarray(exposure[i]), camera, config.sensor, key=key)
         return np.asarray(image), np.asarray(depth)
