@@ -71,8 +71,8 @@ def _solve(matches: PairMatches, use: Float[Array, " P"], camera: Camera, tolera
 
     def round_(state, _):
         tilt, motions = state
-        plain, metric, moved, spread = whitened(tilt, motions)
-        by_tilt = jnp.stack([jax.jvp(lambda t: whitened(t, motions)[0], (tilt,), (axis,))[1] for axis in axes], -1)
+        (plain, metric, moved, spread), along = jax.linearize(lambda t: whitened(t, motions), tilt)
+        by_tilt = jax.vmap(lambda axis: along(axis)[0], out_axes=-1)(axes)
         by_x, by_y = (jnp.broadcast_to(-axis, moved.shape) for axis in axes)
         by_turn = jnp.stack([moved[..., 1], -moved[..., 0]], -1)
         by_motion = [white(column, spread) for column in (by_x, by_y, by_turn)]
