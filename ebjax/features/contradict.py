@@ -16,8 +16,8 @@ from ebjax.geometry.camera import ideal_from_raw, raw_from_ideal
 from ebjax.geometry.homography import apply
 
 APART = 0.1
-"""Motions contradict each other that put the floor so far apart, as a share of the view's side: a wrong one is off by
-about a side, and homographies that few matches on the floor hold by some hundredths."""
+"""Motions contradict each other that put the floor so far apart, as a share of the view's side: far more than what a
+bent lens leaves to a homography of raw images, far less than a turn by pi moves."""
 
 
 def contradictions(found: Mapping[str, Comparison], views: Mapping[str, PlaneView]) -> dict[str, str]:

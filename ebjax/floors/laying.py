@@ -118,6 +118,7 @@ def painter(
             if len(chosen) == 0:
                 continue
             padded = np.resize(chosen, most[name])
+            # NumPy's casts: those of JAX are a program a shape, to compile before anything is seen.
             floor = wear.paint(
                 floor,
                 name,

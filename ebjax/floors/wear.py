@@ -27,7 +27,7 @@ class Kind(NamedTuple):
 
 
 def _uniform(keys: Key[Array, " K"], *ranges: tuple[float, float], like: Float[Array, "..."]) -> list[Float[Array, ""]]:
-    """A number of each key, from low to high. Drawn side by side: every draw by itself takes XLA 0.15 s to compile."""
+    """A number of each key, from low to high. Drawn side by side, as XLA compiles every draw of its own anew."""
     low, high = (jnp.array(ends, like.dtype) for ends in zip(*ranges, strict=True))
     return list(jax.vmap(lambda key, a, b: jax.random.uniform(key, (), like.dtype, a, b))(keys, low, high))
 

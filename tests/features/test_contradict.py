@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from ebjax.features.contradict import contradictions
+from ebjax.features.contradict import _by_raw, contradictions
 from ebjax.features.pair import Comparison, metric_view, quad_view, raw_view
 from ebjax.features.record import FLOOR, RAW, TURNED
 from ebjax.features.verify import Verified
@@ -62,20 +62,24 @@ def test_raw_pixels_of_a_bent_lens_are_straightened():
     camera = camera_over_floor(380.0, 380.0, 239.5, 179.5, 480, 360, 0.54, np.radians(24.0), 0.0, 0.2)
     camera = dataclasses.replace(camera, lens=lens("plumb_bob", [-0.3, 0.1, 0.0, 0.0, 0.0]))
     view = metric_view(camera, FloorView(0.6, 2.2, -0.7, 0.7, 0.004))
-    floor = np.random.default_rng(1).uniform([0.7, -0.4], [1.6, 0.4], (60, 2))
-    slid = np.array([[1.0, 0, 0.05], [0, 1, 0.0], [0, 0, 1]])
+    floor = np.random.default_rng(1).uniform([0.65, 0.3], [1.2, 0.65], (60, 2))
+    slid = np.array([[1.0, 0, 0.3], [0, 1, 0.0], [0, 0, 1]])
+    there = np.asarray(apply(slid, floor))
     image_from_plane = view.image_from_view @ np.linalg.inv(view.plane_from_view)
     raw_a, raw_b = (
-        np.asarray(raw_from_ideal(camera, np.asarray(apply(image_from_plane, points))))
-        for points in (floor, np.asarray(apply(slid, floor)))
+        np.asarray(raw_from_ideal(camera, np.asarray(apply(image_from_plane, at)))) for at in (floor, there)
     )
-    raw, _ = cv2.findHomography(raw_a, raw_b)
-    found = {RAW: comparison(raw, 60, in_a=raw_a), FLOOR: comparison(slid, 40, in_a=floor)}
+    by_raw = comparison(cv2.findHomography(raw_a, raw_b)[0], 60, in_a=raw_a)
+    off = [np.linalg.norm(_by_raw(by_raw, floor, one) - there, axis=1) for one in (view, without_lens(view))]
+    assert np.median(off[0]) < 0.002 * view.side < 0.01 * view.side < np.median(off[1])
     views = {RAW: raw_view(480, 360), FLOOR: view}
-    assert contradictions(found, views) == {}
-    assert contradictions(found | {RAW: comparison(np.eye(3), 60, in_a=raw_a + 50)}, views) == {}  # 5 cm of 1.6 m
+    assert contradictions({RAW: by_raw, FLOOR: comparison(slid, 40, in_a=floor)}, views) == {}
     turned = np.array([[-1.0, 0, 2.4], [0, -1, 0], [0, 0, 1]])
-    assert contradictions(found | {FLOOR: comparison(turned, 40, in_a=floor)}, views) == {RAW: FLOOR}
+    assert contradictions({RAW: by_raw, FLOOR: comparison(turned, 40, in_a=floor)}, views) == {RAW: FLOOR}
+
+
+def without_lens(view):
+    return dataclasses.replace(view, camera=None)
 
 
 def test_two_ends_of_a_corridor_that_look_alike_are_told_by_the_floor(program, scene, tmp_path):
