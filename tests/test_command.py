@@ -293,6 +293,7 @@ def test_the_console_runs_a_command_as_python_m_does(tmp_path):
     assert result.returncode == 2 and result.stderr.startswith(f"error: {absent[0]}") and result.stderr.count("\n") == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", commands())
 def test_every_command_has_help_and_config(name):
     result = python("-m", name, "--help")

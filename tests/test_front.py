@@ -106,7 +106,7 @@ def test_type_checkers_see_the_same_names():
     assert (Path(ebjax.__file__).parent / "py.typed").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_python_and_the_command_give_the_same_bits(world, tmp_path):
     """Python in a process of its own, which nobody told of float64."""
     options = {"keyframe_m": 0.2, "min_gap_s": 2.0, "min_gap_m": 2.0, "view": [0.2, 1.4, -0.6, 0.6]}
@@ -122,6 +122,7 @@ def test_python_and_the_command_give_the_same_bits(world, tmp_path):
         assert any(int(row["kept"]) for row in csv.DictReader(file))
 
 
+@pytest.mark.slow
 def test_a_run_says_what_it_found(closed, tmp_path):
     assert repr(closed).startswith(f"Run({len(closed.poses)} frames, ") and "\n" not in repr(closed)
     assert "loop closures kept" in closed.summary() and "ATE rmse" in closed.summary()
@@ -219,6 +220,7 @@ def test_what_no_differentiable_run_can_be_made_of(world, tmp_path, left_out, op
     assert str(stop.value).startswith(str(tmp_path / "run")) and "\n" not in str(stop.value)
 
 
+@pytest.mark.slow
 def test_a_database_of_rtabmap_is_gone_through(data):
     log = ebjax.open_log(data("logs/rtabmap/corridor_v0.23.8_86_nodes.db"))
     mapper = ebjax.Mapper(log.camera)
@@ -236,6 +238,7 @@ def by_hand(world):
     return mapper.finish()
 
 
+@pytest.mark.slow
 def test_a_mapper_says_what_the_log_gave(by_hand, closed, tmp_path):
     assert by_hand.closures.i.tolist() == closed.closures.i.tolist()
     np.testing.assert_array_equal(by_hand.poses, closed.poses)
@@ -265,6 +268,7 @@ def test_how_a_log_is_read_is_no_option_of_a_mapper(world):
             ebjax.Mapper(camera, **option)
 
 
+@pytest.mark.slow
 def test_a_map_keeps_a_run_that_was_stopped(world, by_hand, tmp_path):
     log, path = ebjax.open_log(world, **OPTIONS), tmp_path / "building.ebmap"
     frames = list(log)
@@ -286,6 +290,7 @@ def test_a_map_keeps_a_run_that_was_stopped(world, by_hand, tmp_path):
         assert [one.finished for one in file.sessions()] == [True]
 
 
+@pytest.mark.slow
 def test_a_robot_is_localised_in_the_map_of_a_run(world, by_hand, tmp_path):
     log, path = ebjax.open_log(world, **OPTIONS), tmp_path / "building.ebmap"
     ebjax.close_loops(log, map=path, quiet=True)
@@ -352,6 +357,7 @@ def own(tmp_path, monkeypatch):
     sys.modules.pop("own_parts", None)
 
 
+@pytest.mark.slow
 def test_a_descriptor_of_ones_own_runs_and_a_map_records_it(own, world, tmp_path):
     assert len(MINE.strip().splitlines()) <= 15
     ebjax.testing.check_descriptor("own_parts:GRID")

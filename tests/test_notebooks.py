@@ -54,7 +54,7 @@ def demo(made_once):
     return made_once("demo", lambda folder: ebjax.demo(folder / "sequence")) / "sequence"
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @each_notebook
 def test_it_runs(path, tmp_path, monkeypatch, demo):
     monkeypatch.setenv("IPYTHONDIR", str(tmp_path / "ipython"))  # no profile of the user's, and none left behind

@@ -15,7 +15,7 @@ def blocks() -> list[str]:
     return re.findall(r"^```python\n(.*?)^```$", README.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_python_of_the_readme_runs_as_it_stands(tmp_path):
     if not blocks():
         pytest.skip("the README has no block of Python")

@@ -85,6 +85,7 @@ def test_each_broken_promise_of_a_descriptor_has_its_reason(wrong, reason):
         check_descriptor(wrong)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", WITHOUT_WEIGHTS)
 def test_our_descriptors_pass(name):
     check_descriptor(name)
@@ -106,6 +107,7 @@ def everywhere(view, seen):
 replace = dataclasses.replace
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("wrong", "reason"),
     [

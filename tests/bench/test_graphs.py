@@ -23,8 +23,9 @@ def test_the_corridor_comes_back_to_where_it_started():
     assert float(solution.cost) < 0.7 * float(solution.initial_cost)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not HAS_GTSAM, reason="gtsam is not installed")
-def test_tables_are_written_whole(tmp_path, capsys):
+def test_tables_are_written_whole(tmp_path, capsys, untouched_jax):
     (tmp_path / "graph.g2o").write_text(format_g2o(corridor(100, 4)))
     out = tmp_path / "bench.md"
     bench_graphs(GraphConfig((tmp_path / "graph.g2o",), out, sizes=(200,), batch=2, turns=1))

@@ -39,6 +39,7 @@ def test_a_search_has_a_line_a_size(capsys):
     assert "--top" in refused(capsys, "nearest", "--top", "0")
 
 
+@pytest.mark.slow
 def test_lenses_have_a_line_each(capsys):
     lines = [line.split("|") for line in lines_of(capsys, "lenses", "--frames", "1", "--turns", "1")]
     assert [line[1].strip() for line in lines[2:]] == ["pinhole", "equidistant", "plumb_bob", "omnidirectional"]

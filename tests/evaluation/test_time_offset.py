@@ -6,6 +6,7 @@ from ebjax.io.poses import poses_from
 from ebjax.io.trajectory import Trajectory
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("offset", [1403636579.75, -3600.0, 7.5])
 def test_part_of_a_drive_is_found_in_the_whole(drive, drifted, seed, offset):

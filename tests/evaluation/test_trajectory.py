@@ -117,6 +117,7 @@ def evo_reference(file):
             yield command, {name: float(value) for name, value in re.findall(r"(\w+)\t([\d.]+)", line)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("folder, suffix, least", [("trajectories", ".gz", 9), ("d5_pose_graph", ".gz", 5)])
 def test_every_number_of_evo(data, folder, suffix, least):
     checked = 0

@@ -82,6 +82,7 @@ def without_lens(view):
     return dataclasses.replace(view, camera=None)
 
 
+@pytest.mark.slow
 def test_two_ends_of_a_corridor_that_look_alike_are_told_by_the_floor(program, scene, tmp_path):
     made = scene()
     made.write(tmp_path)

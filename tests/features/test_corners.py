@@ -1,6 +1,7 @@
 import cv2
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from scipy.ndimage import gaussian_filter, shift
 
 from ebjax.features.corners import erode, find_corners, smaller_eigenvalue, structure_tensor
@@ -37,6 +38,7 @@ def test_corners_are_opencvs_good_features():
     assert np.mean(distance < 2) > 0.9
 
 
+@pytest.mark.slow
 def test_corners_of_a_square_are_found_first_and_sharply():
     image, expected = squares()
     found, strength, valid = find_corners(jnp.asarray(image), jnp.ones(image.shape, bool), count=4)
@@ -67,6 +69,7 @@ def test_no_corner_near_what_is_not_seen():
     assert valid.any() and (np.asarray(points)[np.asarray(valid), 0] < 65).all()
 
 
+@pytest.mark.slow
 def test_corners_keep_their_distance_and_a_flat_view_has_none():
     points, _, valid = find_corners(jnp.asarray(texture()), jnp.ones((120, 150), bool), count=300, radius=4)
     points = np.asarray(points)[np.asarray(valid)]

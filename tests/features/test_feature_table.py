@@ -46,6 +46,7 @@ def test_table_of_means_and_of_pairs():
     assert [len({line.count("|") for line in part}) for part in (lines[2:5], lines[8:11], lines[14:])] == [1, 1, 1]
 
 
+@pytest.mark.slow
 def test_command_writes_the_table_and_says_what_is_left_out(scene, tmp_path, capsys):
     (tmp_path / "pairs").mkdir()
     write(tmp_path / "pairs" / "one", scene())

@@ -62,6 +62,7 @@ def written(scene, tmp_path_factory):
     return folder, made
 
 
+@pytest.mark.slow
 def test_metric_floor_and_depth_measure_the_motion_to_millimetres(command, written, a_from_b):
     folder, made = written
     done = command(
@@ -93,6 +94,7 @@ def test_metric_floor_and_depth_measure_the_motion_to_millimetres(command, writt
     assert cv2.imread(str(folder / "metric" / "matches.png")) is not None
 
 
+@pytest.mark.slow
 def test_quad_with_a_camera_is_metric_too(command, written, a_from_b):
     folder, _ = written
     quad = (140, 120, 340, 120, 430, 300, 50, 300)
@@ -142,6 +144,7 @@ def test_bad_input_is_one_line_exit_2_and_no_output(command, written, tmp_path, 
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_all_leaves_out_what_cannot_be_used_and_says_why(command, written, monkeypatch, tmp_path):
     folder, _ = written
     monkeypatch.setenv("EBJAX_WEIGHTS", str(tmp_path))

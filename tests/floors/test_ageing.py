@@ -16,6 +16,7 @@ def texels(atlas):
     return np.asarray(atlas.texture.texels, np.float32)
 
 
+@pytest.mark.slow
 def test_a_floor_that_does_not_age_is_laid_once():
     config = FloorConfig(family="concrete", texel_m=0.02)
     floor = floors_of(CORRIDOR, config, key=jax.random.key(0))
@@ -23,6 +24,7 @@ def test_a_floor_that_does_not_age_is_laid_once():
     assert np.all(texels(floor(0)) == texels(floor_of(CORRIDOR, config, key=jax.random.key(0))))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_marks_come_and_stay(seed):
     config = FloorConfig(family="concrete", texel_m=0.02, ageing_per_m2=0.4)

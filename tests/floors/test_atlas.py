@@ -3,6 +3,7 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from ebjax.floors.atlas import locate, look, make_atlas
 from ebjax.floors.laying import floor_of
@@ -18,6 +19,7 @@ def crossing():
     return x.astype(jnp.float32), y.astype(jnp.float32)
 
 
+@pytest.mark.slow
 def test_corridors_that_cross_share_one_floor():
     config = FloorConfig(family="concrete", texel_m=0.02, wear_per_m2=6.0)
     one = floor_of(CROSS, config, key=jax.random.key(0))

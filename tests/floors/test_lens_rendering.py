@@ -147,6 +147,7 @@ def test_steps_are_the_differences_of_neighbouring_rays(name):
     assert rays.shown.all() and rays.ahead.all()
 
 
+@pytest.mark.slow
 def test_rays_of_a_pinhole_and_rays_of_the_frame_itself_are_the_same(places):
     for cam in (STRAIGHT, camera("plumb_bob")):
         own = cast(places, cam, pose(1, 0, 0), FLAT, NOBODY)
@@ -187,6 +188,7 @@ def wide(any_floor):
     )
 
 
+@pytest.mark.slow
 def test_a_run_through_a_lens_is_a_function_of_the_seed(wide):
     one, two, other = record(wide), record(wide), record(replace(wide, seed=1))
     for a, b in zip(one.frame(1), two.frame(1), strict=True):
@@ -197,6 +199,7 @@ def test_a_run_through_a_lens_is_a_function_of_the_seed(wide):
     assert rgb.shape == (72, 96, 3) and rgb.min(axis=(0, 1)).max() < 200 and np.mean(depth > 0) > 0.5
 
 
+@pytest.mark.slow
 def test_a_camera_file_and_a_bag_go_through_the_command(wide, tmp_path, monkeypatch):
     monkeypatch.setattr(
         "ebjax.floors.sequence._see",

@@ -39,6 +39,7 @@ def lifted(pose, depth):
     return ((pose @ CAMERA.base_from_camera) @ jnp.concatenate([points, jnp.ones((len(points), 1))], 1).T)[:3]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ramp", [UP, DOWN])
 @pytest.mark.parametrize("x, heading", [(1.0, 0.0), (2.9, 0.0), (3.1, 0.2), (4.0, 2.0), (4.8, 0.0), (7.0, np.pi)])
 def test_every_pixel_lies_on_the_inclined_floor_the_ceiling_above_it_or_a_wall(ramp, x, heading):

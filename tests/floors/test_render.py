@@ -102,6 +102,7 @@ def test_walls_carry_doors_and_light_changes_the_image(ramps):
     assert jnp.all(glossy >= render(ramps, cam, pose(0.0, 0.0, 0.0), FLAT)[0])
 
 
+@pytest.mark.slow
 def test_differentiable_in_the_camera_and_the_floor(ramps):
     @jax.jit
     def brightness(height_m, pitch, texels):

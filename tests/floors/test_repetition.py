@@ -26,6 +26,7 @@ def likeness(strip):
     return cross[1:] / spread[:-1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FAMILIES)
 def test_no_floor_repeats_within_a_kilometre(name):
     texture = Path("photo.jpg") if name == "photograph" else None

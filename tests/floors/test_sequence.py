@@ -28,6 +28,7 @@ def recording():
     return record(SMALL)
 
 
+@pytest.mark.slow
 def test_a_rolling_shutter_skews_what_the_robot_turns_past(recording):
     rolling = record(replace(SMALL, sensor=SensorConfig(readout_s=0.1)))
     turns = int(np.argmax(np.abs(np.diff(recording.world_from_base[:, 0, 0])))) + 1
@@ -69,6 +70,7 @@ def test_frames_are_float32_whatever_the_default(recording):
     assert {leaf.dtype for leaf in jax.tree.leaves(recording.camera)} == {np.dtype(np.float32)}
 
 
+@pytest.mark.slow
 def test_everything_at_once_is_a_function_of_the_seed():
     config = replace(
         SMALL,

@@ -24,6 +24,7 @@ def reflectance_of(name):
     return jax.jit(lambda points, key: family(name).reflectance(points, config, *extra, key=key))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FAMILIES)
 def test_every_family_is_a_function_of_its_key(name):
     of = reflectance_of(name)

@@ -1,6 +1,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from ebjax.floors.plan import make_plan
 from ebjax.floors.wear import KINDS, paint, scatter
@@ -14,6 +15,7 @@ def painted(floor, kind, centres, direction=EAST, strength=1.0, texel=0.01):
     return paint(floor, kind, *arguments, direction, jnp.asarray(strength), texel, key=jax.random.key(1))
 
 
+@pytest.mark.slow
 def test_each_kind_of_mark_is_visible_and_stays_in_its_patch():
     axis = jnp.linspace(-0.5, 0.5, 51)
     for kind in KINDS.values():

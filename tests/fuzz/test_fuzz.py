@@ -21,6 +21,7 @@ FAULTS = {
 RIGHT = {"planted-good": "result", "planted-value": "ValueError", "planted-os": "OSError"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("group", ["host", "jax"])
 def test_every_damaged_input_gives_a_result_or_one_line(group, tmp_path):
     readers = [name for name, reader in READERS.items() if reader.needs_jax == (group == "jax")]
@@ -37,6 +38,7 @@ def test_the_count_of_inputs():
     assert len(READERS) * INPUTS >= 2000
 
 
+@pytest.mark.slow
 def test_the_harness_sees_what_must_not_be(tmp_path):
     seen = {}
     with Worker("host", tmp_path) as worker:

@@ -32,6 +32,7 @@ def named(case):
     return f"{case[0]} {len(case[1])}" if isinstance(case, tuple) else None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", LENSES, ids=named)
 def test_what_is_bent_is_unbent_to_a_billionth_of_a_pixel(case):
     glass = lens(*case)
@@ -107,6 +108,7 @@ def test_a_fisheye_sees_beyond_its_own_plane_and_not_beyond_its_fold():
     np.testing.assert_array_equal(inside, [True, True, False])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", LENSES, ids=named)
 def test_derivatives_are_those_of_central_differences(case):
     glass = lens(*case)

@@ -47,6 +47,7 @@ def test_exp_is_the_matrix_exponential_and_log_inverts_it(group):
     np.testing.assert_allclose(GROUPS[group].log(pose), xi, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("group", ["se2", "se3"])
 def test_log_jacobian_is_the_derivative_of_the_log(group):
     g, xi = GROUPS[group], tangents(group)
@@ -64,6 +65,7 @@ def test_the_turn_of_the_log_jacobian_is_its_derivative(group):
     np.testing.assert_allclose(g.log_jacobian_turn(xi, covector), turn, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("group", ["se2", "se3"])
 def test_second_derivatives_hold_at_every_angle(group):
     g, xi = GROUPS[group], tangents(group, [t for t in ANGLES if t < 3.1], 1)

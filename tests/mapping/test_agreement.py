@@ -52,6 +52,7 @@ def test_a_run_that_disagrees_with_the_map_is_refused(tmp_path):
     opened(path, camera=over_floor(height_m=0.5 + 1e-9), view=default_view(camera())).close()
 
 
+@pytest.mark.slow
 def test_a_session_is_gone_on_with_under_its_own_settings_alone(whole, tmp_path):
     path = tmp_path / "a.ebmap"
     with opened(path, facts={"--depth": "sequence"}) as store:

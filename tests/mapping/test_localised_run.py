@@ -20,6 +20,7 @@ def found(path, out, recording, **options):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_the_same_run_is_found_where_it_was(whole, tmp_path):
     before = whole.path.read_bytes()
     recording = small_run.recording()

@@ -76,6 +76,7 @@ def test_with_the_same_weights_it_is_what_it_was_but_for_jpeg(whole, described):
     assert "what changed is what JPEG changed" in lines[1] and lines[-1] == f"go on with --map {path}"
 
 
+@pytest.mark.slow
 def test_a_run_that_is_described_otherwise_is_refused_and_the_remedy_works(whole, building, tmp_path):
     words = f"^{building}: was made with extractor floornet, this run has sift; .*--map {building} --redescribe"
     with pytest.raises(ValueError, match=words):
@@ -128,6 +129,7 @@ def test_a_run_without_wheels_is_gone_on_with_too(tmp_path):
     np.testing.assert_array_equal(engine.chain.poses[: len(expected)], expected)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("moment", ["first", "middle", "closures", "end"])
 def test_stopped_at_any_moment_it_is_gone_on_with(whole, building, described, monkeypatch, moment):
     before, count, added = building.read_bytes(), len(whole.arrays), MapShelf.add
@@ -181,6 +183,7 @@ def test_a_damaged_keyframe_is_named_and_the_rest_goes_on(whole, building):
     assert edges.kept[[kind == "closure" for kind in edges.kind]].sum() >= whole.run.kept.sum() - 1
 
 
+@pytest.mark.slow
 def test_several_sessions_keep_their_numbers_and_the_closures_between_them(whole, building):
     with opened(building, log="sunday") as store:
         whole.keep(store, range(2))

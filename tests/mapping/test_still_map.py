@@ -27,6 +27,7 @@ def localised(still, rows, start=None):
     ]
 
 
+@pytest.mark.slow
 def test_a_run_is_found_in_a_file_that_stays_as_it_is(whole):
     before = digest(whole.path)
     with open_still_map(whole.path) as still:

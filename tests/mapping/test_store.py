@@ -19,6 +19,7 @@ from ebjax.slam.store import Store
 from ebjax.slam.walker import default_view
 
 
+@pytest.mark.slow
 def test_gives_what_a_run_in_memory_gives(whole):
     assert_same(result(finish(driven(None), lambda *_: pytest.fail("driven again"))), whole.result)
 
@@ -103,6 +104,7 @@ def test_what_another_session_came_after_is_not_gone_on_with(whole, tmp_path):
         assert len(store) == 3 and store.current == 3
 
 
+@pytest.mark.slow
 def test_goes_on_after_a_full_disk(whole, tmp_path):
     path, count = tmp_path / "a.ebmap", len(whole.arrays)
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -174,6 +176,7 @@ def test_a_run_that_is_driven_again_is_read_and_gone_on_with(whole, tmp_path):
         assert len(store) == count and {store.piece(row) for row in range(count)} == {2}
 
 
+@pytest.mark.slow
 def test_the_robot_is_followed_by_the_floor_and_gone_on_with(tmp_path):
     run = recording(24, wheels=False)
     with opened(tmp_path / "whole.ebmap") as store:

@@ -43,6 +43,7 @@ def test_only_layers_for_which_it_pays(monkeypatch, arithmetic, kinds):
     assert all(type(getattr(stack, name)) is Conv for name in names)
 
 
+@pytest.mark.slow
 def test_nested_networks_are_reached_and_give_the_same():
     class Network(nnx.Module):
         def __init__(self):

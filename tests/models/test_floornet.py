@@ -29,6 +29,7 @@ def view(height, width, seed=0):
     return jnp.asarray(rng.uniform(size=(1, height, width)), jnp.float32), jnp.asarray(seen)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [(64, 64), (40, 72), (72, 40)])
 def test_turned_view_has_the_turned_maps(look, size):
     grey, seen = (values.astype(jnp.float64) for values in view(*size))

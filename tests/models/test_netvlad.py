@@ -48,6 +48,7 @@ def test_is_the_papers_sum(bias):
     np.testing.assert_allclose(vectors["matlab"], want.T.reshape(-1), atol=1e-6)
 
 
+@pytest.mark.slow
 def test_gradients_match_differences_and_are_finite_on_a_flat_map():
     layer = jax.tree.map(lambda leaf: leaf.astype(jnp.float64), Aggregation(4, 6, bias=True, rngs=nnx.Rngs(2)))
     graph, state = nnx.split(layer)

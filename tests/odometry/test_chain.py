@@ -111,6 +111,7 @@ def test_weights_are_factors_of_the_information():
     np.testing.assert_allclose(found, relax(scaled, TRUTH, np.ones(len(weights))), atol=1e-10)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("zeros", ["scattered", "ten at once", "without wheels"])
 def test_wrong_steps_are_found_and_right_ones_are_not(zeros):
     total = np.zeros(4)
@@ -176,6 +177,7 @@ def test_what_is_not_doubted_counts_whatever_it_says():
     assert error_m(poses) > 0.05
 
 
+@pytest.mark.slow
 def test_a_gap_that_nothing_measured_is_carried():
     random = np.random.default_rng(6)
     steps = floor_steps(random)

@@ -102,6 +102,7 @@ def test_the_chain_knows_at_least_what_the_wheels_and_the_step_know():
     assert (np.trace(found.covariance, axis1=1, axis2=2) < np.trace(np.linalg.inv(of_wheels), axis1=1, axis2=2)).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gaps", [(1,), (1, 2), (1, 2, 4)])
 @pytest.mark.parametrize("with_wheels", [True, False])
 def test_covariance_of_the_steps_is_as_large_as_their_errors(gaps, with_wheels):
@@ -251,6 +252,7 @@ def ate_m(positions):
     return jnp.sqrt(jnp.mean(jnp.sum((p @ jnp.stack([jnp.stack([c, s]), jnp.stack([-s, c])]) - q) ** 2, 1)))
 
 
+@pytest.mark.slow
 def test_gradient_of_the_trajectory_error_in_a_step():
     random = np.random.default_rng(10)
     found = fused(floor_steps(random, (1, 2)), wheel_path(random))

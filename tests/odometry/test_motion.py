@@ -105,6 +105,7 @@ def moved(keyframes, camera=CAMERA, refine="tilt", **errors):
     return motion, apart, mount * [*np.degrees(np.ones(3)), 1, 1, 1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("refine", ["tilt", "none"])
 def test_the_floor_tells_the_motion_and_what_the_wheels_get_wrong(keyframes, refine):
     motion, apart, _ = moved(keyframes, refine=refine)

@@ -126,6 +126,7 @@ def test_search_finds_the_motion_among_wrong_matches(name, wrong, kind):
         assert b @ true_b > 0.999 * np.linalg.norm(b) * np.linalg.norm(true_b)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["floor", "depth", "rotation"])
 def test_covariance_matches_the_errors(kind):
     random, nees = np.random.default_rng(5), []

@@ -53,6 +53,7 @@ def test_turning_by_pi_finds_the_crops_in_other_light(monkeypatch):
     assert found["floor + pi"] >= 0.9 and found["floor"] <= 0.3
 
 
+@pytest.mark.slow
 def test_command(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(crop_table, "DESCRIPTORS", ("hog", "netvlad"))
     monkeypatch.setattr(crop_table, "EXTRACTORS", ("rootsift", "d2net"))

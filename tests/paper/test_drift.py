@@ -4,6 +4,7 @@ from ebjax.paper.drift import ODOMETRY, OFF, OURS, measure_d5
 from ebjax.slam.config import PipelineConfig
 
 
+@pytest.mark.slow
 def test_the_real_graph_gives_the_published_path(data):
     rows = measure_d5(data("d5_pose_graph"), PipelineConfig())
     published = rows["published Early Bird"]

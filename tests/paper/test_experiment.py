@@ -10,6 +10,7 @@ from ebjax.paper.pairs import cut_pairs
 from ebjax.paper.run import read_run
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rms_px", "right"), [(None, 1), (50.0, 1), (0.001, 0)])
 def test_real_pairs_are_judged_by_what_their_truth_is_known_to(small_run, tmp_path, monkeypatch, rms_px, right):
     monkeypatch.setattr(experiment, "EXTRACTORS", ("orb",))

@@ -17,6 +17,7 @@ from ebjax.places.descriptor import descriptor
 from ebjax.places.recall import facing_pairs
 
 
+@pytest.mark.slow
 def test_command(small_run, tmp_path, capsys):
     run(command, StressConfig, [str(small_run), "--out", str(tmp_path), "--seeds", "2", "--strength", "2"])
     assert "blotches (" in capsys.readouterr().out

@@ -32,6 +32,7 @@ def looked(chosen, views, seen):
     return {name: np.stack([np.asarray(one[name]) for one in kept]) for name in kept[0]}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", DESCRIPTORS)
 def test_vectors_are_unit_turn_with_the_view_and_know_nothing_of_what_is_not_seen(
     weights, floor_texture, name, monkeypatch

@@ -46,6 +46,7 @@ def mixed(first, second):
     return {name: (first if name.startswith("floor") else second)[name] for name in first}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("informative", ["floor", "whole"])
 def test_a_part_that_says_nothing_does_no_harm(looked, informative):
     some, none = looked

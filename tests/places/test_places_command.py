@@ -87,6 +87,7 @@ def test_one_folder_twice_leaves_out_the_image_itself(folders, tmp_path):
     assert [row[0] for row in rows if row[1] == "1"] == [f"img{k}.png" for k in (*range(9), 10)]
 
 
+@pytest.mark.slow
 def test_four_points_and_a_camera_fix_the_view(folders, tmp_path):
     quad = ("--quad", *(20, 15, 75, 15, 75, 55, 20, 55))
     rows = ranked(folders, tmp_path / "quad", *quad)
@@ -120,6 +121,7 @@ def test_the_cache_changes_nothing_and_a_damaged_one_is_rebuilt(folders, tmp_pat
     assert {path: path.read_bytes() for path in (tmp_path / "cache").glob("hog-*/*.h5")} == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["hog", "joint"])
 def test_other_descriptors_find_images_from_both_sides(folders, tmp_path, name):
     quad = ("--quad", *(20, 15, 75, 15, 75, 55, 20, 55))

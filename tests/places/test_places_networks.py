@@ -32,6 +32,7 @@ def test_netvlad_sums_over_what_is_seen(network):
     np.testing.assert_allclose(read(network, images, jnp.asarray(shown))["vectors"], expected, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_superpoint_s_hidden_cells_say_nothing():
     maps = np.asarray(normalise(jnp.asarray(RNG.standard_normal((10, 2, 4, 5, 16)))), np.float16)
     cells = np.ones(maps.shape[:4], bool)

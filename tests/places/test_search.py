@@ -47,6 +47,7 @@ def found_by(run, ranking):
     return jax.tree.map(np.asarray, search(places, allowed, ranking=ranking))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ranking", ["correlation", "cosine"])
 def test_every_place_is_found_from_the_other_side_and_again_from_the_same(run, ranking):
     poses = run[3]

@@ -28,6 +28,7 @@ def make(ring, group, kernel, **options):
     return graph, ate
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("group", "kernel"), [("se2", "none"), ("se2", "cauchy"), ("se3", "none"), ("se3", "cauchy")])
 def test_gradient_of_the_ate_is_its_central_difference(ring, group, kernel):
     graph, ate = make(ring, group, kernel, n=100, loops=6, false_loops=1)
@@ -58,6 +59,7 @@ def test_gradient_of_the_ate_is_its_central_difference(ring, group, kernel):
         assert float(by_width) == pytest.approx(central(lambda t: value(m, o, w + t), 1e-3), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_forward_mode_agrees_with_reverse_mode(ring):
     graph, ate = make(ring, "se2", "cauchy", n=30, loops=3)
     arguments = tuple(map(np.asarray, (graph.measured, graph.information, 1.0)))
@@ -69,6 +71,7 @@ def test_forward_mode_agrees_with_reverse_mode(ring):
     assert float(forward) == pytest.approx(float(backward), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_gradient_of_the_cost_and_of_a_fixed_pose(ring):
     graph, _ = ring(n=20, loops=3, false_loops=1)
 
@@ -90,6 +93,7 @@ def test_gradient_of_the_cost_and_of_a_fixed_pose(ring):
     assert abs(by_pose[1:]).max() == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kernel", ["none", "cauchy"])
 def test_gradient_on_a_real_run(data, kernel):
     graph, _ = read_g2o(data("d5_pose_graph/lessNoise.g2o"))

@@ -31,6 +31,7 @@ def spoil(run, share, seed=0, group=1):
     return replace(add_false_loops(replace(graph, poses=clean), share, seed=seed, group=group), poses=graph.poses)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.8])
 @pytest.mark.parametrize("seed", [0, 1])
 def test_the_clean_solution_is_found_again(run, share, seed):
@@ -90,6 +91,7 @@ def test_what_the_solution_leaves_out_can_be_asked_for(run):
     assert cut_off(graph, found.poses, kernel="tls", width=1e-6)[599:].all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["lessNoise", "CSAIL"])
 def test_a_real_graph_without_false_loops_is_least_squares(data, name):
     folder = "d5_pose_graph" if name == "lessNoise" else "pose_graphs_g2o"
@@ -99,6 +101,7 @@ def test_a_real_graph_without_false_loops_is_least_squares(data, name):
     assert error_m(solve(graph, kernel="consensus").poses, clean, "se2") < 1e-4
 
 
+@pytest.mark.slow
 def test_a_real_graph_whose_loops_contradict_each_other_comes_nearer_to_the_truth(data):
     graph, _ = read_g2o(data("d5_pose_graph/vpr.g2o"))
     graph = replace(graph, robust=loops_of(graph))
@@ -124,6 +127,7 @@ def test_pairwise_consistency_by_name(run):
     assert error_m(solve(graph, kernel="pcm").poses, clean, "se2") < 0.05
 
 
+@pytest.mark.slow
 def test_three_dimensions(ring):
     clean, _ = ring("se3", n=80, loops=20, noise=0.01)
     clean = replace(clean, robust=loops_of(clean))

@@ -20,6 +20,7 @@ def half_cost(graph, kernel, e):
     return cost
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("group", ["se2", "se3"])
 @pytest.mark.parametrize("kernel", ["none", "cauchy"])
 def test_exact_blocks_are_the_hessian(ring, group, kernel):

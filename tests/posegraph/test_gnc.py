@@ -24,6 +24,7 @@ def _spoilt(ring):
     return make
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("group", ["se2", "se3"])
 @pytest.mark.parametrize("kernel", KERNELS)
 def test_half_of_the_loops_may_be_false(spoilt, group, kernel):
@@ -75,6 +76,7 @@ def test_width_zero_takes_an_edge_out(spoilt):
     assert error_m(found.poses, clean, "se2") < 1e-6
 
 
+@pytest.mark.slow
 def test_gradient_is_that_of_least_squares_on_the_inliers(spoilt, only):
     graph, _ = spoilt()
 

@@ -80,6 +80,7 @@ def central(f, h):
     return (4 * slope(h) - slope(2 * h)) / 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("group", "priors"), [("se2", None), ("se3", "position")])
 def test_gradients_are_central_differences(mapped, group, priors):
     graph, truth = mapped(group, priors=priors)

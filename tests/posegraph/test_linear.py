@@ -30,6 +30,7 @@ def edges(kind, n=150):
     return np.where(swap, j, i), np.where(swap, i, j)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["chain", "ring", "tree", "pieces", "loops", "dense"])
 @pytest.mark.parametrize("solver", ["elimination", "qdldl", "supernodal", "cholmod"])
 def test_solves_what_a_dense_factorisation_solves(kind, solver):

@@ -32,6 +32,7 @@ def optimum(ring):
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kernel", ["none", "cauchy"])
 @pytest.mark.parametrize("solver", ["elimination", "qdldl", "supernodal", "cholmod"])
 def test_reaches_the_optimum_of_scipy(ring, optimum, kernel, solver):
@@ -87,6 +88,7 @@ def test_float32_in_float32_out(ring):
     assert float(solution.cost) == pytest.approx(float(solve(ring()[0]).cost), rel=1e-2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", ["elimination", "qdldl"])
 def test_batches_by_vmap(ring, solver):
     graph, _ = ring(n=30, loops=3)

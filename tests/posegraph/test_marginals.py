@@ -27,6 +27,7 @@ def dense_inverse(graph, poses):
     return inverse
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", ["elimination", "qdldl", "supernodal", "cholmod"])
 @pytest.mark.parametrize("group", ["se2", "se3"])
 def test_blocks_of_the_inverse_hessian(ring, group, solver):
@@ -50,6 +51,7 @@ def test_rows_outside_the_graph_are_refused(ring):
         marginals(ring()[0], np.array([3]), kernel="tukey")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("group", ["se2", "se3"])
 def test_a_prior_holds_its_pose_and_replaces_the_gauge(ring, group):
     graph, truth = ring(group, n=20, loops=2, noise=0.0)
@@ -65,6 +67,7 @@ def test_a_prior_holds_its_pose_and_replaces_the_gauge(ring, group):
     np.testing.assert_allclose(spread[0], np.eye(lie.dim) / 100, rtol=1e-5, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", ["elimination", "qdldl"])
 @pytest.mark.parametrize("group", ["se2", "se3"])
 def test_relative_blocks_of_the_inverse_hessian(ring, group, solver):

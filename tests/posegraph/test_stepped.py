@@ -32,6 +32,7 @@ def agree(one, other, tolerance=1e-12):
     assert int(one.iterations) == int(other.iterations) and int(one.status) == int(other.status)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("group, kernel", CASES)
 def test_from_the_host_as_in_one_program(ring, group, kernel):
     graph, _ = ring(group, n=40, false_loops=2)
@@ -39,6 +40,7 @@ def test_from_the_host_as_in_one_program(ring, group, kernel):
     agree(solve(graph, kernel=kernel, max_steps=60), in_one_program(graph, kernel, max_steps=60))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("group, priors, kernel", [("se2", "pose", "gnc-tls"), ("se3", "position", "tls")])
 def test_with_landmarks_positions_and_priors(mapped, group, priors, kernel):
     graph, _ = mapped(group, priors=priors)
@@ -78,6 +80,7 @@ def test_there_is_room_for_more_inside():
     assert capacity(3, "rows") == 256
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("group, kernel", [("se2", "consensus"), ("se2", "tls"), ("se3", "cauchy")])
 def test_inert_rows_and_edges_change_nothing(ring, group, kernel):
     graph, _ = ring(group, n=40, false_loops=2)
@@ -102,6 +105,7 @@ def test_an_exact_fill_is_left_as_it_is(ring):
     np.testing.assert_array_equal(full.measured, graph.measured)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("group", ["se2", "se3"])
 def test_graphs_of_one_capacity_compile_once(ring, group, counted):
     graphs = [jax.tree.map(np.asarray, ring(group, n=n, loops=loops)[0]) for n, loops in ((60, 5), (77, 12), (31, 3))]

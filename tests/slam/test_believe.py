@@ -200,6 +200,7 @@ def up_to(path, row):
     return Walked(path.poses[: row + 1], path.steps[:row], path.piece[: row + 1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("count", "wrong", "seed", "top"),
     [(12, 0.3, 0, 0), (90, 0.2, 1, 0), (300, 0.3, 2, 0), (300, 0.0, 3, 0), (300, 0.1, 4, 30), (400, 0.2, 5, 0)],

@@ -41,6 +41,7 @@ def keep_lines(path, count):
     path.write_text("".join(path.read_text().splitlines(keepends=True)[:count]))
 
 
+@pytest.mark.slow
 def test_closes_the_loop_of_the_way_back(rendered, done):
     out, _, metrics, printed = done
     truth = metrics["closures_against_truth"]
@@ -78,7 +79,7 @@ def test_closes_the_loop_of_the_way_back(rendered, done):
     assert parse(Config, ["--config", str(out / "config.yaml")]).sequence == rendered
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_without_depth_but_with_another_camera_and_from_a_quad(rendered, sequence, tmp_path):
     pose = np.array(json.loads((rendered / "camera.json").read_text())["T_base_camera"])
     pose[2, 3] *= 1.2
@@ -93,19 +94,19 @@ def test_without_depth_but_with_another_camera_and_from_a_quad(rendered, sequenc
     assert quad["closures_against_truth"]["within_5cm_1deg"] == quad["closures_kept"]
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_floor_from_depth_is_the_camera_s(rendered, tmp_path, capsys):
     metrics = slam(rendered, tmp_path / "run", "--floor", "depth")
     assert "pitch 19.0" in capsys.readouterr().out
     assert metrics["closures_kept"] >= 3
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_top_keeps_so_many(rendered, tmp_path):
     assert slam(rendered, tmp_path / "run", "--top", "2")["closures_kept"] == 2
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.parametrize("extractor", ["sift", "orb"])
 def test_other_features_keep_no_wrong_closure(rendered, tmp_path, extractor):
     metrics = slam(rendered, tmp_path / "run", "--extractor", extractor, "--ranking", "cosine")
@@ -113,7 +114,7 @@ def test_other_features_keep_no_wrong_closure(rendered, tmp_path, extractor):
     assert truth["within_5cm_1deg"] == truth["checked"]
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_nothing_repeats_on_the_way_out(sequence, tmp_path):
     keep_lines(sequence / "rgb.txt", 24)
     metrics = slam(sequence, tmp_path / "run")
@@ -128,7 +129,7 @@ def test_nothing_repeats_on_the_way_out(sequence, tmp_path):
     np.testing.assert_allclose(trajectory.poses, odometry.poses[:24], atol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_without_wheels_the_floor_says_how_the_robot_moved(sequence, tmp_path):
     (sequence / "odometry.txt").unlink()
     metrics = slam(sequence, tmp_path / "run", "--depth", "none")
@@ -138,7 +139,7 @@ def test_without_wheels_the_floor_says_how_the_robot_moved(sequence, tmp_path):
     assert metrics["ate_rmse_m"]["after"] < 0.01
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_late_images_and_odometry_that_starts_anew_are_put_right_and_named(sequence, tmp_path, capsys):
     rows = np.loadtxt(sequence / "odometry.txt")
     rows[30:, 1:3] -= rows[30, 1:3]
@@ -155,7 +156,7 @@ def test_late_images_and_odometry_that_starts_anew_are_put_right_and_named(seque
     assert metrics["ate_rmse_m"]["after"] < 0.01
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_broken_frames_are_skipped_counted_and_named(sequence, tmp_path, capsys):
     names = [line.split()[1] for line in (sequence / "rgb.txt").read_text().splitlines()]
     (sequence / names[10]).write_bytes((sequence / names[10]).read_bytes()[:5000])
@@ -194,6 +195,7 @@ def test_a_robot_that_never_moves_has_nothing_to_close(sequence, tmp_path, capsy
     assert "could be read" not in line
 
 
+@pytest.mark.slow
 def test_the_demo_says_in_three_lines_what_happened(rendered, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("ebjax.slam.__main__.demo", lambda folder, beside: rendered)
     run(main, Config, ["--out", str(tmp_path)])
@@ -287,7 +289,7 @@ def test_other_programs_get_their_files(done, sequence, tmp_path, capsys):
     assert "building.ebmap: was made with mount" in line
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_run_is_the_same_whatever_keeps_it(rendered, done, tmp_path, monkeypatch):
     """In memory, in a file beside it where the run is long, and in a map."""
     slam(rendered, tmp_path / "short")
@@ -337,7 +339,7 @@ def test_a_run_is_recorded_for_rerun(sequence, tmp_path):
     assert (tmp_path / "run.rrd").stat().st_size > 10_000
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_real_corridor(data, tmp_path):
     metrics = slam(data("corridor_rgbd"), tmp_path / "run")
     assert metrics["ate_rmse_m"]["before"] == pytest.approx(0.82, abs=0.005)
@@ -347,24 +349,24 @@ def test_the_real_corridor(data, tmp_path):
     assert metrics["closures_against_truth"]["within_5cm_1deg"] == metrics["closures_kept"]
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_real_corridor_by_its_floor_alone(data, tmp_path):
     assert slam(data("corridor_rgbd"), tmp_path / "run", "--depth", "none")["ate_rmse_m"]["after"] <= 0.0035
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_real_corridor_without_wheels_or_depth(data, tmp_path):
     flags = ["--depth", "none", "--motion", "floor"]
     assert slam(data("corridor_rgbd"), tmp_path / "run", *flags)["ate_rmse_m"]["after"] <= 0.006
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_real_corridor_from_four_points(data, tmp_path):
     quad = ["--quad", "180", "299", "460", "290", "585", "443", "66", "462"]
     assert slam(data("corridor_rgbd"), tmp_path / "run", *quad)["ate_rmse_m"]["after"] <= 0.01
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_half_the_real_corridor_closes_nothing(data, tmp_path):
     real = data("corridor_rgbd")
     half = tmp_path / "half"

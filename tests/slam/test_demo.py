@@ -35,7 +35,7 @@ def test_a_fault_beside_the_rendering_is_told(painted, tmp_path):
         demo(tmp_path / "sequence", fail)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_drive_finds_its_programs_compiled(rendered):
     compile_engine(Config())
     with programs.counted() as found:

@@ -22,7 +22,7 @@ from ebjax.slam.recording import Recording
 from ebjax.slam.store import InMemory
 from ebjax.slam.world import planar
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.whole
 
 
 class Driven:

@@ -72,7 +72,7 @@ def test_a_closure_stands_out_from_the_other_candidates():
     assert (found.max_sigma_m, found.odometry_sigmas) == (usual.max_sigma_m, usual.odometry_sigmas)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_polished_corridor_is_closed_on_its_medians(tmp_path):
     """20 m of near-white porcelain there and back, which mirrors windows and strips of lamps: no view shows a place."""
     config = load_config(Path(__file__).parents[2] / "configs" / "worlds" / "G1.yaml", CorridorConfig)

@@ -33,7 +33,7 @@ def slam(sequence, out, *flags):
     return json.loads((out / "metrics.json").read_text())
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_an_association_exif_and_another_resolution_change_nothing_and_are_said(done, sequence, tmp_path, capsys):
     for path in (sequence / "rgb").iterdir():
         path.write_bytes(stored_with_orientation(path.read_bytes(), 3))

@@ -19,7 +19,7 @@ def ate_rmse_m(estimate, truth):
     return float(np.sqrt(np.mean(np.sum((a @ matrix[:3, :3].T + matrix[:3, 3] - b)[:, :2] ** 2, 1))))
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_database_of_rtabmap_gets_its_closures_back(data, tmp_path, capsys):
     source = data("logs/rtabmap/corridor_v0.23.8_86_nodes.db")
     before = source.read_bytes()

@@ -179,6 +179,7 @@ def shifts(camera, optics, pixels):
     return np.sqrt(np.mean(np.asarray(moved) ** 2, (0, 1)))
 
 
+@pytest.mark.slow
 def test_rootsift_closes_the_loops_with_the_right_camera(run):
     single = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), (run.images, words(256)))
     run, at = replace(run, images=single[0]), Parameters(NONE, single[1])
@@ -206,6 +207,7 @@ def test_a_point_stays_in_the_image_and_moves_on_the_floor(run):
     assert (inside > 0).all() and (inside < [159, 119]).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["plumb_bob", "equidistant"])
 def test_a_point_stays_in_the_raw_image_when_the_lens_changes(model):
     run = driven(model)

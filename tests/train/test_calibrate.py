@@ -82,6 +82,7 @@ def numbers(out):
     return report, {name: entry["found"] - entry["given"] for name, entry in report["mount"].items()}
 
 
+@pytest.mark.slow
 def test_recovers_a_camera_that_was_set_wrong(driven, tmp_path, capsys):
     run(dataclasses.replace(OFF, sequence=driven), tmp_path / "out", resume=False)
     report, error = numbers(tmp_path / "out")
@@ -97,6 +98,7 @@ def test_recovers_a_camera_that_was_set_wrong(driven, tmp_path, capsys):
     np.testing.assert_array_equal(found.intrinsics, true.intrinsics)
 
 
+@pytest.mark.slow
 def test_starts_from_depth_where_there_is_any(driven, tmp_path, capsys):
     run(dataclasses.replace(OFF, sequence=driven, depth="sequence"), tmp_path / "out", resume=False)
     report, error = numbers(tmp_path / "out")
@@ -169,6 +171,7 @@ def test_finds_a_lens_of_which_nothing_was_said(bent, tmp_path):
     assert report["start"] == f"{camera}, a plumb_bob lens that bends nothing"
 
 
+@pytest.mark.slow
 def test_a_bag_is_as_good_as_its_folder(driven, tmp_path, capsys):
     pytest.importorskip("rosbags")
     bag = tmp_path / "run.mcap"

@@ -37,6 +37,7 @@ def test_numbers_say_all_of_a_camera(bent):
     assert longer[1, 1] / longer[0, 0] == pytest.approx(404 / 400) and longer[0, 2] == 310
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bent", LENSES[1:], ids=lambda bent: bent.model)
 @pytest.mark.parametrize("edge_px", [2.0, 12.8])
 def test_a_coefficient_is_known_by_how_far_it_moves_the_image(bent, edge_px):

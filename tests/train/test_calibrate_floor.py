@@ -25,6 +25,7 @@ def camera_with(model):
     return with_numbers(Camera(K, np.eye(4), 640, 480, bent), np.append(NUMBERS, bent.coefficients))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", LENSES)
 def test_pixels_lead_back_to_their_floor(model):
     camera = camera_with(model)

@@ -88,6 +88,7 @@ def optics_sigma(camera):
     return np.concatenate([SIGMA[:6], [0.02 * K[0, 0], 6.4, 6.4], coefficient_sigmas(camera, 12.8)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", [None, "plumb_bob"])
 @pytest.mark.parametrize(("wrong", "width", "slope"), [(0.0, 1000.0, 1e-8), (0.1, 3.0, 5e-4)])
 def test_jacobian_against_central_differences(wrong, width, slope, model):
@@ -149,6 +150,7 @@ def test_most_matches_agree_at_the_truth():
     assert not np.asarray(count_agreeing(mounts, dataclasses.replace(pairs, valid=0 * pairs.valid), 12.0)).any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.2, -1.0])
 @pytest.mark.parametrize("model", LENSES)
 def test_recovers_the_lens_with_the_mount(model, share):

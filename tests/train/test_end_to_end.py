@@ -59,6 +59,7 @@ def test_the_task_tunes_tests_and_writes(tmp_path, capsys):
     assert [json.loads(line)["kind"] for line in log] == ["validation", "step", "validation"]
 
 
+@pytest.mark.slow
 def test_a_lens_that_is_believed_wrong_and_what_undoes_it(tmp_path):
     world = corridor(dataclasses.replace(SMALL, camera="phone-raw"), "terrazzo", 1)
     true, off = (load_run(world, mounting(0, 0, 0), tmp_path, share).camera for share in (0.0, 0.2))

@@ -3,6 +3,7 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from ebjax.train.mirror import Room, draw_room, mirrored
 from ebjax.train.photograph import Wild
@@ -63,6 +64,7 @@ def test_rooms_are_finite_from_everywhere():
         assert np.isfinite(found).all() and found.min() >= 0
 
 
+@pytest.mark.slow
 def test_wild_views_are_harder_and_in_range(canvas):  # noqa: F811
     tame, wild = (sample_pairs(canvas, 6, 96, w, key=jax.random.key(0)) for w in (Wild(), Wild(1.0, 1.0)))
     np.testing.assert_allclose(tame.second_from_first, wild.second_from_first, rtol=1e-5, atol=1e-7)

@@ -32,6 +32,7 @@ def test_both_views_show_the_same_floor(canvas):
     assert np.median(agree) > 0.5
 
 
+@pytest.mark.slow
 def test_fields_of_view_are_opposite_and_narrow_at_the_feet(canvas):
     pairs = sample_pairs(canvas, 1, 96, key=jax.random.key(1))
     np.testing.assert_array_equal(pairs.seen_second, pairs.seen_first[::-1, ::-1])
@@ -44,6 +45,7 @@ def test_views_are_a_function_of_the_key(canvas):
     assert bool((first == same).all()) and not bool((first == other).all())
 
 
+@pytest.mark.slow
 def test_a_pile_is_bright_from_one_side(canvas):
     leaning = canvas.at[..., 2].set(0.1)
     towards = sample_pairs(leaning, 4, 64, key=jax.random.key(5))
@@ -51,6 +53,7 @@ def test_a_pile_is_bright_from_one_side(canvas):
     assert float(jnp.abs(towards.first - towards.second).mean()) > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [0, NAMES.index("carpet")])
 def test_a_canvas_is_a_function_of_seed_and_number(number):
     canvas = make_canvas(number, seed=2)

@@ -28,6 +28,7 @@ def quick_floors(monkeypatch):
     monkeypatch.setattr(module, "make_canvas", made)
 
 
+@pytest.mark.slow
 def test_words_for_other_weights_are_found_beside_them_by_the_remedy(tmp_path, quick_floors, capsys):
     file = tmp_path / "floornet.safetensors"
     data = bytearray(SHIPPED.read_bytes())

@@ -88,6 +88,7 @@ def overlap(a, b):
     return (a & b)[NEAR:].sum() / (a | b)[NEAR:].sum()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("count", "wobble_px"), [(32, 0.0), (32, 6.0), (8, 0.0)])
 @pytest.mark.parametrize("kind", FLOORS)
 def test_a_floor_that_moves_is_not_masked(kind, count, wobble_px):
