@@ -111,6 +111,7 @@ def fields() -> set[str]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "line", sorted({line for page in PAGES for line in command_lines(page)}), ids=lambda line: line[16:70]
 )

@@ -97,6 +97,20 @@ class StressConfig:
     """Folder of the networks' weights; None: $EBJAX_WEIGHTS or ~/.cache/ebjax/weights."""
 
 
+@dataclass(frozen=True)
+class KeypointsConfig:
+    """Measures whether matched keypoints are placed as well as their covariances say: their NEES under the truth.
+
+    Drives every log and takes the steps and closures that it measured on the floor. Writes keypoints.md and
+    keypoints.json.
+    """
+
+    logs: tyro.conf.Positional[tuple[Path, ...]]
+    """Logs whose truth is known."""
+    out: Path = Path("runs/keypoints")
+    """Folder for the results."""
+
+
 def ablations(config: AblationsConfig) -> None:
     """Measures, draws, writes, prints the tables."""
     from ebjax.paper.ablation_table import make
@@ -141,11 +155,20 @@ def stress(config: StressConfig) -> None:
     print(f"wrote {config.out / 'stress.md'}")
 
 
+def keypoints(config: KeypointsConfig) -> None:
+    """Measures, writes, prints the table."""
+    from ebjax.paper.keypoints import make
+
+    print("\n".join(make(config.logs, config.out)))
+    print(f"wrote {config.out / 'keypoints.md'}")
+
+
 COMMANDS = {
     "tables": Command(tables, TablesConfig),
     "crops": Command(crops, CropsConfig),
     "stress": Command(stress, StressConfig),
     "ablations": Command(ablations, AblationsConfig),
+    "keypoints": Command(keypoints, KeypointsConfig),
 }
 
 

@@ -59,6 +59,7 @@ def ates(metrics):
     return [metrics["ate_m"]["time"][name]["rmse"] for name in ("none", "se2", "se3", "sim3")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("unit", UNITS)
 @pytest.mark.parametrize("name", ["est", "ref"])
 def test_units_of_dates_are_converted_and_said(files, tmp_path, command, unit, name):
@@ -83,6 +84,7 @@ def test_milliseconds_from_zero_are_recognised_beside_seconds(files, tmp_path, c
     np.testing.assert_allclose(ates(metrics), expected, rtol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "scale, shift, part",
     [(1.0, 0.0, slice(None)), (1.0, 77.7, slice(25, 275)), (1e3, 0.0, slice(75, 250)), (1e3, 77.7, slice(None))],

@@ -58,6 +58,7 @@ def test_a_turned_and_shifted_view_is_found_by_looking_again(weights, name):
     assert np.mean(error[np.asarray(blind.valid)] < 2) < 0.3
 
 
+@pytest.mark.slow
 def test_keypoints_of_a_large_view_are_in_its_own_pixels(weights):
     chosen, small = extractor("d2net", weights), texture((400, 408))
     large = jnp.repeat(jnp.repeat(small, 2, 0), 2, 1)

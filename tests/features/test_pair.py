@@ -76,6 +76,7 @@ def test_opposing_views_are_measured_to_millimetres_as_certainly_as_they_say(mea
     assert (ratio > 1 / 3).all() and (ratio < 4).all()
 
 
+@pytest.mark.slow
 def test_another_floor_is_not_believed(scene):
     one, other = scene(seed=0), scene(seed=9)
     view, chosen = metric_view(one.camera, FLOOR), extractor("rootsift")

@@ -256,6 +256,7 @@ def test_floor_motion_is_differentiable_in_the_camera(motion):
     np.testing.assert_allclose(reverse, WEIGHTS @ numeric, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_derivatives_hold_where_the_points_fit_exactly():
     matches = noisy_matches(np.random.default_rng(13), AHEAD, 0.0, 0)
     for slope in (forward_mode, reverse_mode):

@@ -38,6 +38,7 @@ def test_marks_come_and_stay(seed):
         assert (before & ~after).sum() <= 0.05 * before.sum(), "a mark may be painted over, not vanish"
 
 
+@pytest.mark.slow
 def test_a_pass_is_the_same_whatever_was_asked_for_before():
     config = FloorConfig(family="concrete", texel_m=0.02, ageing_per_m2=0.4)
     one, other = (floors_of(CORRIDOR, config, key=jax.random.key(0)) for _ in range(2))

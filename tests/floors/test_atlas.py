@@ -44,6 +44,7 @@ def test_a_point_is_found_in_its_strip():
     assert ground.clearance[0, 2] < 0
 
 
+@pytest.mark.slow
 def test_wear_and_its_strength_change_the_floor():
     config = FloorConfig(family="concrete", texel_m=0.02)
     floors = [

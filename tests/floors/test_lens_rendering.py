@@ -77,6 +77,7 @@ def tiles():
     return corridor_of(np.repeat(cv2.GaussianBlur(grey, (0, 0), 2.0)[..., None], 3, axis=-1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LENSES)
 def test_an_image_that_is_unbent_is_the_pinholes(tiles, name):
     bent = camera(name)

@@ -49,6 +49,7 @@ def test_moments_lie_around_the_frame_and_reach_over_the_readout():
     assert np.all(moments(poses, 2, 61, SMALL) == poses[2])
 
 
+@pytest.mark.slow
 def test_on_a_ramp_the_truth_climbs_and_pitches(tmp_path):
     config = replace(SMALL, plan=PlanConfig(ramp="0.3 0, 0.8 0", ramp_deg=10.0))
     run, level = record(config), record(SMALL)

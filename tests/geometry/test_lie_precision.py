@@ -89,6 +89,7 @@ def test_jacobians_to_1e_9(group):
     np.testing.assert_allclose(automatic, exact, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("group", ["se2", "se3"])
 def test_second_derivatives_to_1e_6(group):
     lie, at = GROUPS[group], tangents(group)

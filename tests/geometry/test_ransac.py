@@ -120,6 +120,7 @@ def test_sets_are_drawn_without_replacement_and_evenly():
     assert counts.min() > 0.9 * counts.mean() and counts.max() < 1.1 * counts.mean()
 
 
+@pytest.mark.slow
 def test_a_batch_equals_one_by_one_and_float32_stays():
     pairs = [planted("similarity", seed=s) for s in range(3)]
     source, target = (jnp.asarray(np.stack([p[k] for p in pairs]), jnp.float32) for k in (0, 1))

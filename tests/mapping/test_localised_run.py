@@ -12,6 +12,8 @@ from ebjax.io.trajectory import read_tum
 from ebjax.mapping.localised_run import localise_run
 from ebjax.slam.world import planar
 
+pytestmark = pytest.mark.slow
+
 
 def found(path, out, recording, **options):
     camera = options.pop("camera", small_run.camera())
@@ -20,7 +22,6 @@ def found(path, out, recording, **options):
     )  # fmt: skip
 
 
-@pytest.mark.slow
 def test_the_same_run_is_found_where_it_was(whole, tmp_path):
     before = whole.path.read_bytes()
     recording = small_run.recording()

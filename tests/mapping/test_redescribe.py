@@ -106,6 +106,7 @@ def test_other_words_are_refused_by_the_same_remedy(building):
         opened(older)
 
 
+@pytest.mark.slow
 def test_an_unfinished_session_is_gone_on_with(whole, tmp_path):
     path, count = tmp_path / "building.ebmap", len(whole.arrays)
     with opened(path) as store:
@@ -118,6 +119,7 @@ def test_an_unfinished_session_is_gone_on_with(whole, tmp_path):
     assert run.kept.sum() >= whole.run.kept.sum() - 1
 
 
+@pytest.mark.slow
 def test_a_run_without_wheels_is_gone_on_with_too(tmp_path):
     run = recording(24, wheels=False)
     with opened(tmp_path / "building.ebmap") as store:

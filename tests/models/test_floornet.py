@@ -41,6 +41,7 @@ def test_turned_view_has_the_turned_maps(look, size):
         assert float(jnp.abs(ours - theirs).max()) <= 1e-13 * max(1.0, float(jnp.abs(theirs).max())), name
 
 
+@pytest.mark.slow
 def test_shapes_and_unit_descriptors(look):
     maps = look(*view(64, 48))
     assert maps.places.shape == (1, 8, 6, 8) and maps.local.shape == (1, 16, 12, 8) and maps.score.shape == (1, 16, 12)

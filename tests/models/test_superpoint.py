@@ -135,6 +135,7 @@ def test_where_a_pixel_lies_among_the_cells():
         assert 1e-4 < np.abs(near - exact).max() < off
 
 
+@pytest.mark.slow
 def test_detection_runs_under_jit_and_vmap_and_trains(network, grey):
     convention = dataclasses.replace(CONVENTIONS["magicleap"], threshold=0.01)
     pair = jnp.stack([grey, grey[::-1]])

@@ -33,6 +33,7 @@ def test_command(small_run, tmp_path, capsys):
     assert cv2.imread(str(tmp_path / "stress.png")) is not None
 
 
+@pytest.mark.slow
 def test_what_is_measured_is_what_the_tables_of_the_paper_measure(small_run):
     one, chosen = read_run(small_run), descriptor("hog")
     found = measure(one, floor_views(one), {"hog": chosen}, 0.0, 1)["hog, cosine"]

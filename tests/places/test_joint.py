@@ -58,6 +58,7 @@ def test_a_part_that_says_nothing_does_no_harm(looked, informative):
     assert (places.share > 0.8) if informative == "floor" else (places.share < 0.2)
 
 
+@pytest.mark.slow
 def test_the_whole_image_has_no_part_in_a_turned_view(looked):
     some, none = looked
     first, second = (np.asarray(joint.unite(kept).vectors) for kept in (some, mixed(some, none)))

@@ -70,6 +70,7 @@ def test_every_place_is_found_from_the_other_side_and_again_from_the_same(run, r
     assert precision_100(1.0 - found.distance[asked, 0].astype(float), right[asked]) > 0.9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ranking", ["correlation", "cosine"])
 def test_candidates_are_allowed_ranked_and_unique(run, ranking):
     found = found_by(run, ranking)

@@ -85,6 +85,7 @@ def test_empty_files_are_refused():
         parse_g2o("# nothing\n")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "kernel", "cost", "tolerance"),
     [

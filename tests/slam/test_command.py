@@ -12,7 +12,7 @@ from ebjax.io.trajectory import read_tum
 from ebjax.posegraph.g2o import read_g2o
 from ebjax.slam.__main__ import Config, main
 
-pytestmark = pytest.mark.usefixtures("unpainted")
+pytestmark = [pytest.mark.usefixtures("unpainted"), pytest.mark.slow]
 
 
 def slam(sequence, out, *flags):
@@ -41,7 +41,6 @@ def keep_lines(path, count):
     path.write_text("".join(path.read_text().splitlines(keepends=True)[:count]))
 
 
-@pytest.mark.slow
 def test_closes_the_loop_of_the_way_back(rendered, done):
     out, _, metrics, printed = done
     truth = metrics["closures_against_truth"]
@@ -195,7 +194,6 @@ def test_a_robot_that_never_moves_has_nothing_to_close(sequence, tmp_path, capsy
     assert "could be read" not in line
 
 
-@pytest.mark.slow
 def test_the_demo_says_in_three_lines_what_happened(rendered, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("ebjax.slam.__main__.demo", lambda folder, beside: rendered)
     run(main, Config, ["--out", str(tmp_path)])

@@ -62,6 +62,7 @@ def test_closures_are_believed_as_they_come(whole):
     assert len(early & final) >= 0.95 * len(final)
 
 
+@pytest.mark.slow
 def test_every_update_says_where_the_robot_is(whole):
     _, engine, said = whole
     run = thought_over(engine)

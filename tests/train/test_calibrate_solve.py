@@ -172,6 +172,7 @@ def test_recovers_the_lens_with_the_mount(model, share):
     np.testing.assert_array_equal(found[INTRINSICS], start[INTRINSICS])
 
 
+@pytest.mark.slow
 def test_a_plane_tells_less_of_the_intrinsics_than_of_the_lens():
     """A homography has eight degrees of freedom, mount and intrinsics have nine: some of them stay near the belief."""
     camera = camera_with(LENSES["plumb_bob"])

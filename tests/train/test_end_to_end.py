@@ -77,6 +77,7 @@ def test_a_lens_is_tuned_only_where_there_is_one(tmp_path, changes, key):
     check(Config(world=dataclasses.replace(SMALL, camera="phone-raw"), **changes))
 
 
+@pytest.mark.slow
 def test_runs_are_kept_and_made_again_where_damaged(tmp_path):
     world = corridor(SMALL, "terrazzo", 1)
     once = load_run(world, mounting(0, 0, 0), tmp_path)

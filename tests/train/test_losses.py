@@ -80,6 +80,7 @@ def perfect():
     return maps, jnp.repeat(points, 2, axis=0)
 
 
+@pytest.mark.slow
 def test_maps_that_agree_cost_next_to_nothing(perfect):
     maps, points = perfect
     valid = jnp.ones(points.shape[:2], bool)

@@ -17,6 +17,7 @@ def canvas():
     return jnp.asarray(np.stack([wave, 0 * wave, 0 * wave], -1)[None], jnp.float32)
 
 
+@pytest.mark.slow
 def test_both_views_show_the_same_floor(canvas):
     pairs = sample_pairs(canvas, 6, 96, key=jax.random.key(0))
     assert pairs.first.shape == pairs.second.shape == (6, 96, 96) and pairs.first.dtype == jnp.float32
@@ -40,6 +41,7 @@ def test_fields_of_view_are_opposite_and_narrow_at_the_feet(canvas):
     assert (np.diff(width) <= 0).all() and width[0] == 96
 
 
+@pytest.mark.slow
 def test_views_are_a_function_of_the_key(canvas):
     first, same, other = (sample_pairs(canvas, 2, 64, key=jax.random.key(k)).first for k in (3, 3, 4))
     assert bool((first == same).all()) and not bool((first == other).all())

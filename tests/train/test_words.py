@@ -44,6 +44,7 @@ def test_words_for_other_weights_are_found_beside_them_by_the_remedy(tmp_path, q
     assert place_of(kept, words).vector.shape == (4096,)
 
 
+@pytest.mark.slow
 def test_the_same_seed_makes_the_same_words(tmp_path, quick_floors):
     only = dataclasses.replace(SMALL, descriptors=("rootsift-vlad",))
     for name in "ab":

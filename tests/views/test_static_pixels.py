@@ -98,6 +98,7 @@ def test_a_floor_that_moves_is_not_masked(kind, count, wobble_px):
     assert found.mean() < 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["marble", "smooth", "carpet", "grout"])
 @pytest.mark.parametrize("share", [0.1, 0.35, 0.45])
 def test_a_textured_body_is_found(kind, share):
