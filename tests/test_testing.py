@@ -139,6 +139,7 @@ def test_each_broken_promise_of_an_extractor_has_its_reason(wrong, reason):
         check_extractor(wrong)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["floornet", "rootsift", "sift", "orb", "surf"])
 def test_our_extractors_pass(name):
     check_extractor(name)

@@ -29,9 +29,8 @@ def by_input(result, extractor="floornet"):
     return {record["input"]: record for record in result["results"] if record["extractor"] == extractor}
 
 
-@pytest.mark.parametrize(
-    "name", ["ceramic", *(pytest.param(name, marks=pytest.mark.slow) for name in ("marble", "stone"))]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["ceramic", "marble", "stone"])
 def test_real_opposing_pairs_match_on_the_turned_floor_only(command, data, tmp_path, name):
     folder = data("opposing_pairs") / name
     images = [next(folder.glob(f"{side}.[pj]*g")) for side in "ab"]

@@ -66,6 +66,7 @@ def test_keypoints_of_a_large_view_are_in_its_own_pixels(weights):
     np.testing.assert_allclose(b.keypoints, 2 * a.keypoints + 0.5, atol=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NETWORKS)
 def test_what_is_not_seen_does_not_matter(weights, name):
     chosen, floor, seen = extractor(name, weights), texture((192, 224)), np.zeros((192, 224), bool)
@@ -97,6 +98,7 @@ def test_networks_refuse_without_their_weights(weights, tmp_path, monkeypatch):
         locate("d2net")
 
 
+@pytest.mark.slow
 def test_winograd_finds_the_same(weights):
     floor, seen = texture((192, 224)), jnp.ones((192, 224), bool)
     exact, fast = (extractor("superpoint", weights, way).extract(floor, seen) for way in ("exact", "winograd"))

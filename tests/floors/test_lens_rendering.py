@@ -91,6 +91,7 @@ def test_an_image_that_is_unbent_is_the_pinholes(tiles, name):
     assert np.abs(np.asarray(raw)[middle] - np.asarray(expected)[middle]).max() > 0.1, "the lens does bend"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LENSES)
 def test_floor_points_land_where_the_lens_shows_them(places, name):
     cam, world_from_base = camera(name), pose(1.0, 0.2, 0.15)
@@ -165,6 +166,7 @@ def test_each_row_is_seen_through_the_lens_from_its_own_pose(places):
             np.testing.assert_allclose(row[k], whole[k], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_rays_are_differentiable_in_the_lens():
     weights = jnp.asarray(np.random.default_rng(0).normal(size=(3, 120, 160)))
 

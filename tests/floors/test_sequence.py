@@ -61,6 +61,7 @@ def test_on_a_ramp_the_truth_climbs_and_pitches(tmp_path):
     assert np.abs(run.frame(0)[0].astype(int) - level.frame(0)[0]).mean() > 3
 
 
+@pytest.mark.slow
 def test_another_seed_is_another_run(recording):
     other = record(replace(SMALL, seed=1))
     assert np.abs(other.frame(0)[0].astype(int) - recording.frame(0)[0]).mean() > 3

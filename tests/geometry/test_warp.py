@@ -133,6 +133,7 @@ def test_values_and_gradients_are_finite_at_and_beyond_the_horizon(image, dtype)
     assert sampled == 0 and not gradient.any()
 
 
+@pytest.mark.slow
 def test_float32_stays_float32(image):
     picture = jnp.asarray(image, jnp.float32)
     for h in (SOURCE_FROM_TARGET, SOURCE_FROM_TARGET.astype(np.float32)):

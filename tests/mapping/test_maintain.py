@@ -5,6 +5,7 @@ from ebjax.io.map_file.file import MapFile
 from ebjax.mapping.maintain import drop_views, forget, repaired
 
 
+@pytest.mark.slow
 def test_views_of_finished_sessions_are_dropped(whole, tmp_path):
     path = tmp_path / "a.ebmap"
     with opened(path) as store:

@@ -33,6 +33,7 @@ def image():
     return jnp.asarray(np.clip(0.5 + 0.2 * blurred / blurred.std(), 0, 1), jnp.float32)
 
 
+@pytest.mark.slow
 def test_a_cell_looks_at_the_pixels_around_its_exact_centre():
     (graph, positive), side, cell = nnx.split(restored(np.abs)), 128, 15
     random, seen = np.random.default_rng(0), np.zeros((side, side))
@@ -90,6 +91,7 @@ def test_soft_scores_are_the_papers():
     np.testing.assert_allclose(soft_scores(jnp.asarray(dense)), score / (score.sum() + 1e-6), atol=1e-12)
 
 
+@pytest.mark.slow
 def test_soft_scores_train():
     dense, step = (jnp.asarray(np.random.default_rng(k).standard_normal((6, 7, 5))) for k in (0, 1))
     weight = jnp.asarray(np.random.default_rng(2).random((6, 7)))

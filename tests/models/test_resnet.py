@@ -45,6 +45,7 @@ def test_shapes(model, images):
         model(images, "layer5")
 
 
+@pytest.mark.slow
 def test_folding_changes_nothing(model, images):
     (run, state), (folded, folded_state) = (forward(network, "logits") for network in (model, resnet.fold(model)))
     want = run(state, images)

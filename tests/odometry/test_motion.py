@@ -118,6 +118,7 @@ def test_the_floor_tells_the_motion_and_what_the_wheels_get_wrong(keyframes, ref
     np.testing.assert_array_equal(motion.frames, FRAMES)
 
 
+@pytest.mark.slow
 def test_the_floor_alone_tells_the_motion(keyframes):
     motion, apart, _ = moved(dataclasses.replace(keyframes, wheels_at=None))
     assert apart < 0.003

@@ -123,6 +123,7 @@ def test_points_by_depth_lean_too(run):
     assert (np.asarray(level.points_j) == 0).all()
 
 
+@pytest.mark.slow
 def test_pitch_and_roll_are_the_mounts():
     """Pitch is nose down as the camera's is; roll lowers the right side, which turns the image the other way."""
     lean = np.radians([2.0, 0.0])

@@ -60,6 +60,7 @@ def ranked(folders, out, *arguments):
     return rows_of(out / "ranked.csv")
 
 
+@pytest.mark.slow
 def test_finds_images_from_both_sides_and_names_broken_ones(folders, tmp_path, capsys):
     rows = ranked(folders, tmp_path, "--raw", "--truth", folders / "truth.json", "--top", 3)
     assert [row[1] for row in rows] == ["1", "2", "3"] * 5

@@ -84,6 +84,7 @@ def test_candidates_are_allowed_ranked_and_unique(run, ranking):
         assert len({*zip(j[valid], way[valid], strict=True)}) == valid.sum()
 
 
+@pytest.mark.slow
 def test_shift_measures_the_loop(run):
     found, poses = found_by(run, "correlation"), run[3]
     heading = poses[:, 2]

@@ -42,6 +42,7 @@ def test_the_clean_solution_is_found_again(run, share, seed):
     assert float(found.cost) <= float(found.initial_cost)
 
 
+@pytest.mark.slow
 def test_confirmed_loops_are_the_right_ones(run):
     graph = spoil(run, 0.5)
     chosen = believed(graph, "consensus")

@@ -37,6 +37,7 @@ def test_exact_blocks_are_the_hessian(ring, group, kernel):
         np.testing.assert_allclose(jnp.stack([blocks.gi[e], blocks.gj[e]]), g, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("group", ["se2", "se3"])
 def test_gauss_newton_blocks_are_those_of_the_residual(ring, group):
     graph, _ = ring(group, n=12, loops=2, false_loops=1)

@@ -8,6 +8,7 @@ from ebjax.posegraph import solve
 from ebjax.posegraph.falseloops import add_false_loops, error_m, false_loops, loops_of
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("group", ["se2", "se3"])
 @pytest.mark.parametrize("share", [0.2, 0.5])
 def test_the_share_is_of_all_loops(ring, group, share):

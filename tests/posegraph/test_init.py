@@ -12,6 +12,7 @@ def distance(group, a, b):
     return abs(lie.log(lie.compose(lie.inverse(a), b))).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("group", ["se2", "se3"])
 @pytest.mark.parametrize("start", [init.odometry, init.spanning_tree, init.chordal])
 def test_perfect_measurements_give_the_truth_from_nothing(ring, group, start):
@@ -46,6 +47,7 @@ def test_odometry_bridges_gaps_and_walks_edges_backwards(ring):
     assert distance("se2", np_to_jax(init.odometry(cut)), truth) < 1e-12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("start", [init.odometry, init.spanning_tree, init.chordal])
 @pytest.mark.parametrize(("group", "priors"), [("se2", "position"), ("se3", "pose"), ("se3", "position")])
 def test_landmarks_start_where_they_were_seen(mapped, group, priors, start):

@@ -14,6 +14,7 @@ WIDTH = jnp.asarray(1.3)
 SOLVERS = ["elimination", "qdldl", "supernodal", "cholmod"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("group", "priors"), [("se2", None), ("se2", "position"), ("se3", "pose"), ("se3", "position")]
 )
@@ -56,6 +57,7 @@ def test_marginals_are_gtsams(mapped, in_gtsam, group):
     np.testing.assert_array_equal(found[-1], 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("solver", "kernel"), [*((solver, "cauchy") for solver in SOLVERS), ("qdldl", "gnc-tls"), ("qdldl", "none")]
 )

@@ -46,6 +46,7 @@ def test_reaches_the_optimum_of_scipy(ring, optimum, kernel, solver):
     np.testing.assert_array_equal(solution.poses[0], graph.poses[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("group", ["se2", "se3"])
 def test_perfect_measurements_give_the_truth(ring, group):
     graph, truth = ring(group, noise=0.0, n=40)

@@ -41,6 +41,7 @@ def jax_stack(rows):
     return jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves]), *rows)
 
 
+@pytest.mark.slow
 def test_turned_landmarks_lie_where_the_floor_has_them(frames):
     view, _, described = frames
     assert described["exact"].turned is None

@@ -18,6 +18,8 @@ from ebjax.slam.recording import Recording
 from ebjax.slam.store import InMemory
 from ebjax.slam.world import planar
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def run(rendered):
@@ -46,7 +48,6 @@ def thought_over(engine):
     return engine.finish(lambda *_: pytest.fail("this run needs no second look"))
 
 
-@pytest.mark.slow
 def test_closures_are_believed_as_they_come(whole):
     _, engine, said = whole
     believed = {}
@@ -62,7 +63,6 @@ def test_closures_are_believed_as_they_come(whole):
     assert len(early & final) >= 0.95 * len(final)
 
 
-@pytest.mark.slow
 def test_every_update_says_where_the_robot_is(whole):
     _, engine, said = whole
     run = thought_over(engine)
@@ -77,7 +77,6 @@ def test_every_update_says_where_the_robot_is(whole):
     assert any(update.path is not None for update in said)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("decoded", "looked_at"), [(1, 0), (7, 1), (64, 64)])
 def test_bits_do_not_depend_on_how_far_images_are_decoded_and_looked_at_ahead(
     run, whole, monkeypatch, decoded, looked_at
@@ -91,7 +90,6 @@ def test_bits_do_not_depend_on_how_far_images_are_decoded_and_looked_at_ahead(
         np.testing.assert_array_equal(mine.map_from_base, theirs.map_from_base)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.95])
 def test_a_run_that_was_left_goes_on_to_the_same_bits(run, whole, share):
     store, engine, _ = whole
@@ -107,7 +105,6 @@ def test_a_run_that_was_left_goes_on_to_the_same_bits(run, whole, share):
     assert one.reasons == other.reasons
 
 
-@pytest.mark.slow
 def test_without_wheels_the_floor_is_followed_and_can_be_left(run):
     camera, recording = run
     floor = dataclasses.replace(recording, timestamps=recording.timestamps[:24], odom_from_base=None)
@@ -123,7 +120,6 @@ def test_without_wheels_the_floor_is_followed_and_can_be_left(run):
     np.testing.assert_array_equal(thought_over(again).poses, thought_over(engine).poses)
 
 
-@pytest.mark.slow
 def test_no_images_are_asked_again_of_a_robot(run):
     camera, recording = run
     engine = Mapper(camera)

@@ -129,6 +129,7 @@ def test_noise_does_not_pull_the_floor_closer():
     assert abs(mean[3]) < 0.004
 
 
+@pytest.mark.slow
 def test_what_a_run_does_not_tell_stays():
     sigma = np.array([*SIGMA[:4], 0.02, 0.02, 0, 0, 0])
     straight, turning = made_up(STRAIGHT), made_up(TURNING)

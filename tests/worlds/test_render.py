@@ -36,6 +36,7 @@ def written(tmp_path_factory):
     return out
 
 
+@pytest.mark.slow
 def test_written_run_reads_back(written):
     recording, read = record(SMALL), read_sequence(written, depth=True)
     assert len(read) == len(recording) == 8 and read.dropped == ()
