@@ -61,6 +61,7 @@ def in_colours(path):
     cv2.imwrite(str(path), cv2.applyColorMap((depth >> 8).astype(np.uint8), cv2.COLORMAP_JET))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "spoil, words",
     [
