@@ -1,9 +1,9 @@
 """`python -m ebjax.paper keypoints`: are matched keypoints of the floor placed as well as their covariances say?
 
 A run measures steps and closures from matches, each with a covariance (`ebjax.features.settle`): a patch's, times a
-factor that the pair's residuals tell, as the scale of Student's t with nu = 3. Under the true motion a match is off by
-r, and q = r^T covariance^-1 r. The NEES here is the mean of (nu + 2) q / (nu + q), in which mismatches count as little
-as they do in the measurement: 2, the number of degrees of freedom, where the covariances are right.
+factor, the scale of Student's t with nu = 3, that the pair's residuals tell by their median. Under the true motion a
+match is off by r, and q = r^T (factor patch)^-1 r. NEES is the mean of q (nu - 2) / nu, r against Student's covariance:
+2, the number of degrees of freedom, is right. Mismatches within the tolerance count in full.
 """
 
 import dataclasses
@@ -20,7 +20,7 @@ from jaxtyping import Float
 from ebjax.command import progress
 from ebjax.features.settle import FREEDOM, PairMatches, spread_on_floor, white
 from ebjax.front.close import close_loops
-from ebjax.front.log import open_log
+from ebjax.front.log import Log, open_log
 from ebjax.front.run import Run
 from ebjax.geometry.camera import Camera
 from ebjax.geometry.planar import between
@@ -28,7 +28,7 @@ from ebjax.io.atomic import whole_file
 from ebjax.paper import page
 from ebjax.slam.config import PipelineConfig
 
-SAME, FACING = "steps", "closures"
+STEPS, CLOSURES = "steps", "closures"
 DEGREES_OF_FREEDOM, INSIDE = 2, 0.95
 LIMIT = FREEDOM * ((1 - INSIDE) ** (-2 / FREEDOM) - 1)
 """Of q: below it lies a share INSIDE of Student's t in two dimensions."""
@@ -83,7 +83,7 @@ def placed(
     if not (near.any() and agreeing.any()):
         return None
     q = squared[near] * MEDIAN / np.median(residuals[agreeing])
-    nees = np.mean((FREEDOM + 2) * q / (FREEDOM + q))
+    nees = np.mean(q) * (FREEDOM - 2) / FREEDOM
     return Placed(int(near.sum()), float(nees), float(np.mean(q < LIMIT)), float(np.median(error[near])))
 
 
@@ -93,10 +93,10 @@ def pairs_of(run: Run, truth: Float[np.ndarray, "F 3"]) -> Iterator[tuple[str, P
     ends: list[tuple[str, int, int, bool, np.ndarray]] = []
     if run.motion is not None:
         steps = run.motion.steps.rows(run.motion.steps.used & (run.motion.steps.kind == "floor"))
-        ends += [(SAME, i, j, False, m) for i, j, m in zip(steps.i, steps.j, steps.i_from_j, strict=True)]
+        ends += [(STEPS, i, j, False, m) for i, j, m in zip(steps.i, steps.j, steps.i_from_j, strict=True)]
     kept = run.closures
     for i, j, opposing, motion in zip(kept.i, kept.j, kept.opposing, kept.i_from_j, strict=True):
-        ends.append((FACING, row_of[int(i)], row_of[int(j)], bool(opposing), motion))
+        ends.append((CLOSURES, row_of[int(i)], row_of[int(j)], bool(opposing), motion))
     for kind, i, j, opposing, measured in progress(ends, len(ends), "pairs"):
         true = between(poses[i][None], poses[j][None])[0]
         if not np.isfinite(true).all():
@@ -119,19 +119,24 @@ def make(logs: Sequence[Path], out: Path) -> list[str]:
     if len({path.resolve().name for path in logs}) < len(logs):
         raise ValueError(f"two of {', '.join(map(str, logs))} have the same name, by which the table tells them apart")
     opened = {path.resolve().name: open_log(path, depth="none") for path in logs}
-    truths = {name: log.truth for name, log in opened.items()}
+    truths = {name: _truth(log) for name, log in opened.items()}
     found: dict[str, Any] = {}
-    for name, truth in truths.items():
-        if truth is None:
-            raise ValueError(f"{opened[name].sequence.path}: keypoints needs the truth of a run, and the log has none")
-        told = list(pairs_of(close_loops(opened[name], quiet=True), truth))
-        found[name] = {kind: _mean([one for which, one in told if which == kind]) for kind in (SAME, FACING)}
+    for name, log in opened.items():
+        told = list(pairs_of(close_loops(log, quiet=True), truths[name]))
+        found[name] = {kind: _mean([one for which, one in told if which == kind]) for kind in (STEPS, CLOSURES)}
     lines, right = table(found), {"nees": DEGREES_OF_FREEDOM, "inside": INSIDE}
     with whole_file(out / "keypoints.json") as file:
         json.dump({"right": right, "runs": found}, file, indent=1, allow_nan=False)
     with whole_file(out / "keypoints.md") as file:
         file.write("\n".join(["# Matched keypoints", "", *lines]))
     return lines
+
+
+def _truth(log: Log) -> Float[np.ndarray, "F 3"]:
+    truth = log.truth
+    if truth is None or not np.isfinite(truth).all(1).any():
+        raise ValueError(f"{log.sequence.path}: keypoints needs the truth of a run, and the log has none")
+    return truth
 
 
 def _mean(some: list[Placed]) -> dict[str, Any] | None:
@@ -147,9 +152,12 @@ def table(found: Mapping[str, Mapping[str, Mapping[str, Any] | None]]) -> list[s
     rows = {}
     for name, kinds in found.items():
         for kind, mean in kinds.items():
-            if mean is not None:
-                numbers = f"{mean['nees']:.2f}", page.percent(mean["inside"]), f"{1000 * mean['error_m']:.2f}"
-                rows[f"{name}, {kind}"] = [str(mean["pairs"]), str(mean["matches"]), *numbers]
+            rows[f"{name}, {kind}"] = ["0", *[page.DASH] * 4] if mean is None else _cells(mean)
     head = ["", "pairs", "matches", "NEES", "inside, %", "median error, mm"]
     right = f"Right: a NEES of {DEGREES_OF_FREEDOM}, and {100 * INSIDE:.0f} % inside."
     return [*page.markdown_table(head, rows), right, ""]
+
+
+def _cells(mean: Mapping[str, Any]) -> list[str]:
+    numbers = f"{mean['nees']:.2f}", page.percent(mean["inside"]), f"{1000 * mean['error_m']:.2f}"
+    return [str(mean["pairs"]), str(mean["matches"]), *numbers]
