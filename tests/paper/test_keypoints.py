@@ -1,4 +1,4 @@
-"""NEES of matches: 2 where their covariances are right, whatever their scale; mismatches and a wrong motion are told."""
+"""NEES of matches: 2 where covariances are right, whatever their scale; mismatches and a wrong motion are told."""
 
 import json
 
