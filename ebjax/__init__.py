@@ -11,7 +11,7 @@ Names are imported when they are first used, so that `import ebjax` costs nothin
 import importlib
 from typing import Any
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _FROM = {
     "close_loops": "ebjax.front.close",

@@ -1,8 +1,8 @@
-"""Where a corner of one floor view lies in another, to a few hundredths of a pixel: aligned patches, not two corners.
+"""Where a keypoint of one floor view lies in another, to a few hundredths of a pixel: aligned patches, not keypoints.
 
-A corner is a peak of contrast, and contrast falls with the distance from the camera. So a corner is found a little
-nearer than what makes it, the farther the more, and steps come out short, which adds up. The patch around it has no
-such pull, and says more (Lucas and Kanade, 1981).
+A keypoint is a peak of contrast, and contrast falls with the distance from the camera. So it is found a little nearer
+than what makes it, the farther the more, and steps come out short, which adds up. The patch around it has no such pull,
+and says more (Lucas and Kanade, 1981).
 """
 
 import jax
@@ -17,14 +17,14 @@ SPREAD_PX = 3.0
 """Standard deviation of the window's weights."""
 ROUNDS = 3
 MOST_PX = 1.5
-"""A corner that moves farther than this has found something else, and stays where it was."""
+"""A keypoint that moves farther than this has found something else, and stays where it was."""
 LEAST_GAIN = 0.2
 """Of a patch's contrast in the one view over that in the other."""
 FLAT = 1e-4
 """Squared gradients, product of both directions, of a patch that shows nothing."""
-LEAST_PX, NOISE, CORNER_PX = 0.2, 0.3, 0.6
+LEAST_PX, NOISE, ALONE_PX = 0.2, 0.3, 0.6
 """Standard deviations up to one factor a pair: of any aligned patch, px; of the grey level that a patch tells; of a
-corner that was not aligned, px."""
+keypoint that was not aligned, px."""
 
 
 def aligned(
@@ -52,7 +52,7 @@ def aligned(
       a patch tells little; and which of them were aligned.
     """
     if min(view_i.shape) <= SIDE:
-        alone = jnp.broadcast_to(CORNER_PX**2 * jnp.eye(2, dtype=points_i.dtype), (len(points_i), 2, 2))
+        alone = jnp.broadcast_to(ALONE_PX**2 * jnp.eye(2, dtype=points_i.dtype), (len(points_i), 2, 2))
         return points_i, alone, jnp.zeros(len(points_i), bool)
     image = view_i.astype(jnp.float32)
     start, partners, homography = (jnp.asarray(x, jnp.float32) for x in (points_i, points_j, i_from_j))
@@ -95,14 +95,14 @@ def aligned(
         return points + jnp.clip(move, -1.0, 1.0), None
 
     moved, _ = jax.lax.scan(step, start, None, length=ROUNDS)
-    corners = jnp.array([0, 0, -1, -1]), jnp.array([0, -1, 0, -1])
-    own = jnp.stack([offset[corners[1]], offset[corners[0]]], -1)[:, None] * (RADIUS + 2) / (RADIUS + 1) + start[None]
-    whole = _inside(seen, own) & _inside(seen, jnp.stack([x[corners], y[corners]], -1))
+    edge = jnp.array([0, 0, -1, -1]), jnp.array([0, -1, 0, -1])
+    own = jnp.stack([offset[edge[1]], offset[edge[0]]], -1)[:, None] * (RADIUS + 2) / (RADIUS + 1) + start[None]
+    whole = _inside(seen, own) & _inside(seen, jnp.stack([x[edge], y[edge]], -1))
     found = whole & (jnp.sum((moved - start) ** 2, 1) < MOST_PX**2)
     eye = jnp.eye(2, dtype=jnp.float32)[None]
     rows = jnp.stack([jnp.stack([yy, -xy], -1), jnp.stack([-xy, xx], -1)], -2)
     covariance = LEAST_PX**2 * eye + NOISE**2 * rows / determinant[:, None, None]
-    covariance = jnp.where(found[:, None, None], covariance, CORNER_PX**2 * eye)
+    covariance = jnp.where(found[:, None, None], covariance, ALONE_PX**2 * eye)
     kept = jnp.where(found[:, None], moved.astype(points_i.dtype), points_i)
     return kept, covariance.astype(points_i.dtype), found
 

@@ -69,6 +69,7 @@ class Extractor:
       weights: the file they were read from.
       octaves: (height, width) of a view -> how many equal parts its rows have; None: one. The rows of a part come
         strongest first.
+      version: raised when a view has other features than before, so that they are not mixed in a map.
     """
 
     extract: Extract
@@ -76,6 +77,7 @@ class Extractor:
     turn: Turn | None
     weights: Path | None = None
     octaves: Callable[[int, int], int] | None = None
+    version: int = 1
 
     def turned(self, view: Float[Array, "H W 3"], seen: Bool[Array, "H W"]) -> Features:
         """The features of the view turned by pi; keypoints in pixels of the view as it is."""

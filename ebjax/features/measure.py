@@ -22,7 +22,7 @@ from ebjax.geometry.rigid import kabsch
 
 SHARED_SIGMA = (0.005, 0.005, 0.002)
 """Standard deviation that all inliers share: x m, y m, heading rad."""
-MATCHES_PER_CORNER = 4.0
+MATCHES_PER_PLACE = 4.0
 """Neighbouring matches see the same texture: so many count as one independent observation."""
 
 
@@ -48,7 +48,7 @@ def _covariance(
     spin = jnp.stack([-points_j[:, 1], points_j[:, 0]], -1)
     eye = jnp.broadcast_to(jnp.eye(2, dtype=dtype), (points_j.shape[0], 2, 2))
     jacobian = jnp.concatenate([eye, spin[..., None]], -1)
-    hessian = jnp.einsum("m,mai,maj->ij", weights, jacobian, jacobian) / MATCHES_PER_CORNER
+    hessian = jnp.einsum("m,mai,maj->ij", weights, jacobian, jacobian) / MATCHES_PER_PLACE
     # Two points at least are needed for a heading; the ridge keeps fewer finite (and very uncertain).
     spread = jnp.linalg.inv(hessian + 1e-9 * jnp.eye(3, dtype=dtype))
     shared = jnp.diag(jnp.asarray(SHARED_SIGMA, dtype) ** 2)

@@ -1,8 +1,9 @@
-"""Guided re-matching: once the motion is roughly known, each corner looks for its partner only where it should be.
+"""Guided re-matching: once the motion is roughly known, each keypoint looks for its partner only where it should be.
 
 Repeated texture (grout, planks) makes most putative matches ambiguous; near the predicted place they are not, and
 there are enough of them all over the overlap to hold a homography where RANSAC's few inliers leave it free. The
-search narrows from four tolerances to one, so the first motion may be a few tolerances off.
+search narrows from four tolerances to one, so the first motion may be a few tolerances off; and then once more, as what
+the first round found far from RANSAC's inliers was looked for where those put it.
 
 The number of these matches says nothing about whether the motion is right: they were looked for where it wants them.
 """
@@ -18,7 +19,7 @@ from ebjax.features.verify import Verified
 from ebjax.geometry.homography import apply, denominator
 from ebjax.geometry.ransac import FITS, Model
 
-SCALES = (4.0, 3.0, 2.0, 1.5, 1.0, 1.0)
+SCALES = (4.0, 3.0, 2.0, 1.5, 1.0, 1.0) * 2
 REACH = 1.5
 MIN_SIMILARITY = 0.6
 ROUNDS = 3

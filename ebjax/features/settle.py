@@ -31,7 +31,7 @@ DEPTH_PER_M = 0.001
 """... and of the mean depth around it, m at 1 m; grows with the square of the range."""
 FREEDOM = 3.0
 """Degrees of freedom of the residuals' distribution."""
-EXCESS = 1.75
+EXCESS = 2.5
 """Neighbouring patches share texture: so much wider than independent ones would say."""
 LEAST_FACTOR = 0.02
 """No pair is more certain than that: of the variances that `spread` says."""
@@ -83,11 +83,11 @@ def pair_matches(ours: Landmarks, theirs: Landmarks, found: Verified, view: RunV
 
     floor_from_view = jnp.linalg.inv(image_from_floor(camera)) @ view.image_from_view
     i_from_j = jnp.linalg.inv(floor_from_view) @ motion @ floor_from_view
-    corners = ours.features.keypoints[q].astype(start.dtype)
+    keypoints = ours.features.keypoints[q].astype(start.dtype)
     others = theirs.features.keypoints[r].astype(start.dtype)
-    moved, covariance, _ = aligned(ours.grey, theirs.grey, view.seen, i_from_j, corners, others)
-    # The floor around a corner is flat: its point by depth moves with it.
-    shift = apply(floor_from_view, moved) - apply(floor_from_view, corners)
+    moved, covariance, _ = aligned(ours.grey, theirs.grey, view.seen, i_from_j, keypoints, others)
+    # The floor around a keypoint is flat: its point by depth moves with it.
+    shift = apply(floor_from_view, moved) - apply(floor_from_view, keypoints)
     shift = shift @ jnp.asarray(camera.base_from_camera)[:2, :3]
     points = lifted(ours, q) + jnp.where(ours.range_m[q][:, None] > 0, shift, 0)
     along = slopes(view.image_from_view, moved)

@@ -1,4 +1,4 @@
-"""Upright rootSIFT on Shi-Tomasi corners: the default local feature of aligned floor views, one jitted program.
+"""Upright rootSIFT on blobs: a local feature of aligned floor views, one jitted program.
 
 A reference seen from the opposite side is not extracted again: its descriptors are turned by pi exactly. The fine
 bins suit a view of about 200 px; a larger one is also described at half its size, and so on: how much floor makes a
@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Shaped
 
-from ebjax.features.corners import find_corners
+from ebjax.features.blobs import find_blobs
 from ebjax.features.extractor import Extractor
 from ebjax.features.matching import Features
 from ebjax.models.luma import luma
@@ -19,9 +19,12 @@ from ebjax.models.rootsift import describe, pool_orientations, rotate_pi_descrip
 
 BIN_PX = 6.0
 MIN_SUPPORT = 0.5
-CORNERS = 600
+BLOBS, MORE_BLOBS = 600, 900
+"""Of a view, and of each octave of a larger one: what shows more floor finely says more."""
 RADIUS_PX = 2
 OCTAVE_PX = 200
+VERSION = 2
+"""Of local features at blobs; they were at corners before."""
 
 
 def octaves(height: int, width: int) -> int:
@@ -29,16 +32,22 @@ def octaves(height: int, width: int) -> int:
     return 1 + max(0, math.floor(math.log2(min(height, width) / OCTAVE_PX)))
 
 
+def blobs_an_octave(height: int, width: int) -> int:
+    """How many rows each octave of a view has."""
+    return BLOBS if octaves(height, width) == 1 else MORE_BLOBS
+
+
 def extract(view: Float[Array, "H W 3"], seen: Bool[Array, "H W"]) -> Features:
-    """Describes the strongest corners of a floor view, 600 an octave.
+    """Describes the strongest blobs of a floor view, 600, or 900 an octave where there are several.
 
     Args:
       view: RGB in [0, 1]; its luma is described.
-      seen: the field of view; corners whose support lies mostly outside it are not valid.
+      seen: the field of view; blobs whose support lies mostly outside it are not valid.
     """
     grey, found = luma(view), []
+    count = blobs_an_octave(*grey.shape)
     for octave in range(octaves(*grey.shape)):
-        keypoints, _, valid = find_corners(grey, seen, count=CORNERS, radius=RADIUS_PX)
+        keypoints, _, valid = find_blobs(grey, seen, count=count, radius=RADIUS_PX)
         descriptors, support = describe(pool_orientations(grey, seen.astype(grey.dtype), BIN_PX), keypoints)
         scale = 2**octave
         found.append(Features((keypoints + 0.5) * scale - 0.5, descriptors, valid & (support > MIN_SUPPORT)))
@@ -53,8 +62,8 @@ def halved(image: Shaped[Array, "H W *c"]) -> Shaped[Array, "h 2 w 2 *c"]:
 
 
 def turn(descriptors: Float[Array, "*n D"]) -> Float[Array, "*n D"]:
-    """The descriptors of the same corners in the view turned by pi."""
+    """The descriptors of the same keypoints in the view turned by pi."""
     return rotate_pi_descriptor(descriptors)
 
 
-ROOTSIFT = Extractor(extract, jitted=True, turn=turn, octaves=octaves)
+ROOTSIFT = Extractor(extract, jitted=True, turn=turn, octaves=octaves, version=VERSION)

@@ -74,7 +74,7 @@ def verify(
     key: PRNGKeyArray | UInt32[Array, "2"],
     tolerance: Scalar,
     model: Model = "rigid",
-    keep: int = 200,
+    keep: int = 300,
     max_ratio: Scalar = 1.0,
 ) -> Verified:
     """Matches two views and finds the motion that most matches agree on.

@@ -18,6 +18,7 @@ from ebjax.slam.config import PipelineConfig
 from ebjax.views.run_view import RunView
 
 Facts = Mapping[str, Any]
+VERSION = "version of the extractor"
 TOLERANCE = 1e-6
 """Of numbers, absolute and relative: what two ways of computing one camera differ in is less."""
 MADE_BY = ("descriptor", "extractor", "weights")
@@ -29,7 +30,7 @@ REMEDIES = {
     "descriptor": "give --descriptor {was}",
     "weights of the extractor": "give the weights that it was made with (--weights)",
     "weights of the descriptor": "give the weights that it was made with (--weights)",
-    "version of the extractor": "use that version of it",
+    VERSION: "use that version of it",
     "version of the descriptor": "use that version of it",
     "words of places": "use the ebjax and the weights (--weights) that it was made with",
     "image": "give the calibration that it was made with (--camera)",
@@ -41,7 +42,7 @@ REMEDIES = {
 """Of every fact of a map, what makes a run agree with it."""
 DESCRIBED_BY = (
     *("extractor", "weights of the extractor", "descriptor", "weights of the descriptor"),
-    *("version of the extractor", "version of the descriptor", "words of places"),
+    *(VERSION, "version of the descriptor", "words of places"),
 )
 ANEW = "describe the map anew as this run is (--map {path} --redescribe with its --extractor, --descriptor, --weights)"
 
@@ -67,14 +68,14 @@ def described_with(config: PipelineConfig) -> dict[str, Any]:
     told = [name for name in NAMES if config.descriptor in (name, "joint")]
     words = [fixed_words(name, config.weights if name == "floornet" else None).version for name in told]
     parts = {"extractor": config.extractor, "descriptor": config.descriptor}
-    versions = {f"version of the {what}": version_of(name) for what, name in parts.items() if is_own(name)}
+    own = {f"version of the {what}": version_of(name) for what, name in parts.items() if is_own(name)}
     return {
         "extractor": config.extractor,
         "weights of the extractor": digest_of(features.weights),
         "descriptor": config.descriptor,
         "weights of the descriptor": digest_of(places.weights),
         "words of places": " ".join(words) or "none",
-        **versions,
+        **({VERSION: str(features.version)} | own),
     }
 
 
@@ -127,7 +128,13 @@ def _flags() -> Iterator[tuple[str, str, str | None]]:
 
 def disagreeing(was: Facts, now: Facts) -> str | None:
     """The first fact of `was` that `now` has another value of; None where there is none."""
-    return next((name for name in was if name in now and not _equal(was[name], now[name])), None)
+    told = _with_version(was)
+    return next((name for name in told if name in now and not _equal(told[name], now[name])), None)
+
+
+def _with_version(was: Facts) -> Facts:
+    """Maps that do not say the version of their extractor have its first."""
+    return {**was, VERSION: was.get(VERSION, "1")} if "extractor" in was else was
 
 
 def _equal(one: Any, other: Any) -> bool:
@@ -150,7 +157,7 @@ def check_map(path: object, was: Facts, now: Facts) -> tuple[str, ...]:
     """
     name = disagreeing(was, now)
     if name is not None:
-        values = in_words(name, was[name]), in_words(name, now[name])
+        values = in_words(name, _with_version(was)[name]), in_words(name, now[name])
         remedy = REMEDIES[name].format(was=values[0])
         if name in DESCRIBED_BY:
             remedy += f", {ANEW.format(path=path)}"
@@ -158,7 +165,7 @@ def check_map(path: object, was: Facts, now: Facts) -> tuple[str, ...]:
             f"{path}: was made with {name} {values[0]}, this run has {values[1]}; {remedy}, or keep this run in "
             "another map"
         )
-    unsaid = [name for name in now if name not in was]
+    unsaid = [name for name in now if name not in _with_version(was)]
     said = f"{path}: does not say what it was made with ({', '.join(unsaid)}); taken to be as this run's"
     return (said,) * bool(unsaid)
 
@@ -172,7 +179,7 @@ def check_session(path: object, session: int, log: str, was: Facts, now: Facts) 
     name = disagreeing(was, now)
     if name is None:
         return
-    value = was[name]
+    value = _with_version(was)[name]
     change = "run it as it was begun"
     if name.startswith("--"):
         change = f"leave {name} out" if value is None else f"give {name} {in_words(name, value)}"

@@ -2,7 +2,7 @@
 
     maps = network(grey, seen)
     maps.places     stride 8, for correlation and VLAD
-    maps.local      stride 4, unit length, read at corners
+    maps.local      stride 4, unit length, read at keypoints
     maps.score      stride 4, the logit of how reliably a descriptor there finds its like; for training alone
 
 It is equivariant under R_pi by construction (Cohen and Welling, "Group equivariant convolutional networks", ICML 2016,

@@ -30,7 +30,7 @@ class PipelineConfig:
     """Ranking of candidates: the paper's cosine of global descriptors, or shift-maximised correlation of floor maps
     (floornet and rootsift-vlad only, and their default)."""
     extractor: str = "floornet"
-    """Local features: floornet, rootsift (upright, on corners), sift, orb, surf, or another network: superpoint, d2net,
+    """Local features: floornet, rootsift (upright, on blobs), sift, orb, surf, or another network: superpoint, d2net,
     alike; or your own, package.module:NAME, whose code is then run."""
     weights: Path | None = None
     """Of a network: its .safetensors file, or a folder of them; None: $EBJAX_WEIGHTS or ~/.cache/ebjax/weights."""

@@ -13,7 +13,7 @@ from ebjax.posegraph.graph import PoseGraph, make_graph
 from ebjax.slam.measured import Measured
 
 SYSTEMATIC = 4.0
-"""What steps share (a corner's bias, the rest of the tilt) adds up straight, not as a random walk: what a closure may
+"""What steps share (a keypoint's bias, the rest of the tilt) adds up straight, not as a random walk: what a closure may
 contradict is so many times the variance that independent steps would have."""
 
 

@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import least_squares
 
-from ebjax.features.measure import MATCHES_PER_CORNER, SHARED_SIGMA, lift, measure_depth, measure_floor
+from ebjax.features.measure import MATCHES_PER_PLACE, SHARED_SIGMA, lift, measure_depth, measure_floor
 from ebjax.geometry.camera import camera_over_floor, project
 
 MOTION = np.array([2.4, 0.2, np.pi - 0.1])
@@ -59,7 +59,7 @@ def test_covariance_is_what_monte_carlo_finds():
     found = measure(jnp.asarray(noisy))
     scatter = np.cov(right_tangent(np.asarray(found.i_from_j)).T)
     shared = np.diag(np.square(SHARED_SIGMA))
-    predicted = (np.asarray(found.covariance).mean(0) - shared) / MATCHES_PER_CORNER
+    predicted = (np.asarray(found.covariance).mean(0) - shared) / MATCHES_PER_PLACE
     ratio = np.sqrt(np.diag(predicted) / np.diag(scatter))
     assert (ratio > 0.85).all() and (ratio < 1.15).all()
     correlation = lambda c: c / np.sqrt(np.outer(np.diag(c), np.diag(c)))  # noqa: E731

@@ -41,4 +41,4 @@ def test_the_drive_finds_its_programs_compiled(rendered):
     with programs.counted() as found:
         close_loops(rendered, quiet=True)
     asked = {name.removeprefix("jit(").removesuffix(")") for name in found.asked}
-    assert not asked & {"_look", "_describe", "_corners", "verify_pair", "lift", "located", "_row_of_cycles"}
+    assert not asked & {"_look", "_describe", "_described", "verify_pair", "lift", "located", "_row_of_cycles"}
