@@ -3,7 +3,7 @@
     L = G_sigma * view,    response = max(L_xx L_yy - L_xy^2, 0) sigma^4
 
 (Beaudet 1978; Lindeberg, "Feature detection with automatic scale selection", IJCV 1998, at one scale.) Stains, flecks,
-pores and bends of a vein are found again from the other side, in other light and blur, about twice as often as corners.
+pores and bends of a vein are found again from the other side, in other light and blur, far more often than corners.
 What is not seen does not count: the average is taken over what is.
 """
 
